@@ -138,6 +138,14 @@ def test_a_users_object_is_read(tmp_path):
             ["jelly", "solid", "soft", "amorphous"],
         ),
         ({"contype": "0"}, ["contype"]),
+        (
+            {"custom": '<numeric name="turn_deg" data="8"/>' + GOOD["custom"]},
+            ["turn_deg", "is now `rotation_deg`"],
+        ),
+        (
+            {"custom": '<numeric name="break_force_mN" data="8"/>' + GOOD["custom"]},
+            ["break_force_mN", "did you mean 'break_force_N'"],
+        ),
     ],
 )
 def test_broken_objects_are_refused_by_file_and_field(tmp_path, changes, words):

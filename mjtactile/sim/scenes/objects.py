@@ -14,6 +14,7 @@ cup, a stand) are added too.
 
 from __future__ import annotations
 
+import difflib
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.renamed import KEYS, hint
 from mjtactile.core.types import Array
 from mjtactile.rig.domain_randomization import UNCHANGED, ObjectChange
 from mjtactile.sim.scenes.liquid import Liquid, add_liquid, liquid_in
@@ -31,6 +33,13 @@ from mjtactile.sim.scenes.mjcf import change, read_mjcf
 from mjtactile.sim.scenes.random_objects import object_text
 
 MATERIALS = ("solid", "soft", "amorphous")
+NUMERICS = (
+    "break_force_N",
+    "break_stress_kPa",
+    "break_energy_kJ_m3",
+    "grasp_height_m",
+    "rotation_deg",
+)
 PREFIX = "object/"
 """Names of the object's file carry this prefix in the scene."""
 SOFT_ITERATIONS = 2000
@@ -105,6 +114,7 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     path = Path(name_or_path) if text else resources.find(name_or_path, "models/objects", ".xml")
     spec = read_mjcf(path, text)
     _check_body(spec, path)
+    _check_numerics(spec, path)
     flex_material = _flex_material(spec, path)
     has_strain_limit = (
         flex_material is not None
@@ -231,6 +241,20 @@ def _flex_material(spec: mujoco.MjSpec, path: Path) -> FlexMaterial | None:
         1e3 * _numeric(spec, path, "break_stress_kPa", default=math.inf),
         1e3 * _numeric(spec, path, "break_energy_kJ_m3", default=math.inf),
     )
+
+
+def _check_numerics(spec: mujoco.MjSpec, path: Path) -> None:
+    """Refuse old and misspelled names of numerics; the file may have others of its own."""
+    for name in (numeric.name for numeric in spec.numerics):
+        if name in NUMERICS:
+            continue
+        stem = [known for known in NUMERICS if known.rsplit("_", 1)[0] == name.rsplit("_", 1)[0]]
+        near = stem or difflib.get_close_matches(name, NUMERICS, 1, cutoff=0.8)
+        if KEYS.get(name) in NUMERICS:
+            raise InputError(f"unknown numeric{hint(name)}", source=path, field=name)
+        if near:
+            text = f"unknown numeric, did you mean {near[0]!r}?"
+            raise InputError(text, source=path, field=name, choices=NUMERICS)
 
 
 def _numeric(spec: mujoco.MjSpec, path: Path, name: str, default: float | None = None) -> float:
