@@ -95,7 +95,7 @@ def press_objects(kind: str, count: int, device: str, sensor: str = "dense") -> 
     for k, (item, place) in enumerate(zip(objects, places, strict=True)):
         exact = _on_the_cpu(membrane, item, place, depths[k])
         if exact is not None:
-            own = grip[k, k if kind == "mesh" else 0]
+            own = np.diag(grip[k, k if kind == "mesh" else 0])
             found = [force[k], pressure[k], own[0], own[1], own[2]]
             with np.errstate(divide="ignore", invalid="ignore"):
                 rows.append(np.array(found) / exact - 1)

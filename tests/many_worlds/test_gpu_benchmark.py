@@ -4,6 +4,7 @@ import pytest
 
 pytest.importorskip("mujoco_warp")
 
+from benchmarks.gpu.presses import press_objects
 from benchmarks.gpu.run import table
 from benchmarks.gpu.tactile_sensor import speeds
 
@@ -49,3 +50,17 @@ def test_the_tactile_sensor_of_mujoco_reports_a_pressure_on_the_same_gripper():
     found = speeds(1, "cpu", 150)
     assert found["tactile_max_pressure"] == pytest.approx(0.02, abs=0.005)
     assert 0.3 < found["membranes_force_N"] < 2.0
+
+
+@pytest.mark.slow(20)
+def test_random_presses_have_the_sticking_stiffness_of_the_cpu():
+    """Contacts of two to 40 nodes that changed in the approach.
+
+    One node more or fewer changes the torsional stiffness by 2 to 20 %. Conjugate gradients leave
+    0.1 %, and the position of the pressure's center between two nodes 2 %.
+    """
+    found = press_objects("ball", 10, "cpu")
+    assert found["presses"] == 10 and found["unsettled"] == 0
+    assert found["rms"]["force"] < 0.005
+    assert found["rms"]["shear"] < 0.003
+    assert found["rms"]["torsion"] < 0.01

@@ -68,13 +68,16 @@ def test_joints_inside_an_object_are_damped_as_on_the_cpu(places):
     with wp.ScopedDevice("cpu"):
         m, d = mjw.put_model(model), mjw.put_data(model, data, nworld=1, nconmax=32, njmax=96)
         touch = mjtactile.warp.bind(model, m, d, [tip])
-        for _ in range(20):  # to equilibrium
-            mjw.forward(m, d)
+        # as on the CPU, the chamber is sealed under the object
+        for sealed in (0, 1):
+            touch.sealed.fill_(sealed)
+            for _ in range(20):  # to equilibrium
+                mjw.forward(m, d)
         found = m.dof_damping.numpy()[0].copy()
         for _ in range(240):
             mjw.step(m, d)
         speed = np.abs(d.qvel.numpy()[0])
-    # stiffness of each part's own contact area and tension; the CPU shares them by force
-    assert found[6:] == pytest.approx(expected[6:], rel=0.25)
+    # 0.1 %: sticking stiffness by conjugate gradients
+    assert found[6:] == pytest.approx(expected[6:], rel=5e-3)
     assert np.isfinite(speed).all()
     assert touch.failures() == 0

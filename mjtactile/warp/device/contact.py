@@ -26,7 +26,7 @@ class Patch:
     """Contact of one body on one membrane, and the memory of its friction.
 
     `force` and `torque` act on the membrane about the origin of S. `area` m^2 is that of X5.
-    `strain` is the shear displacement, m, m, rad, `grip` the stiffness against it, N/m and N m/rad.
+    `strain` is the shear displacement, m, m, rad, `grip` the stiffness against it about `middle`.
     `shift` is the in-plane motion, m, of the contact nodes since the last solution, which is no
     motion of the body over the membrane. `moved` and `turned` are the motion of the body in the
     last step, `R` and `p` its pose.
@@ -42,7 +42,7 @@ class Patch:
     force: wp.vec3
     torque: wp.vec3
     strain: wp.vec3
-    grip: wp.vec3
+    grip: wp.mat33
     R: wp.mat33
     p: wp.vec3
     moved: wp.vec3
@@ -157,7 +157,7 @@ def remember_nodes(
 @wp.func
 def stick(
     membrane: MembraneGrid,
-    grip: wp.vec3,
+    grip: wp.mat33,
     last: Patch,
     now: Patch,
     friction: float,
@@ -192,7 +192,7 @@ def stick(
                 step[0] - now.shift[0], step[1] - now.shift[1], found.turned[2]
             )
             slid = last.slid
-        load = wp.cw_mul(found.grip, strain)
+        load = found.grip @ strain
         arm = wp.max(now.radius, 0.25 * wp.min(membrane.dx, membrane.dy))
         carried = wp.length(wp.vec3(load[0], load[1], load[2] / arm))
         limit = friction * now.normal
@@ -234,7 +234,8 @@ def patch_stiffness(patch: Patch, normal: float, spacing: float) -> wp.spatial_v
     tilt = _TILT * normal * arm * arm
     found = wp.spatial_vector(0.0, 0.0, normal, tilt, tilt, tilt)
     if patch.slides == 0:
-        found = wp.spatial_vector(patch.grip[0], patch.grip[1], normal, tilt, tilt, patch.grip[2])
+        own = wp.get_diag(patch.grip)
+        found = wp.spatial_vector(own[0], own[1], normal, tilt, tilt, own[2])
     return found
 
 

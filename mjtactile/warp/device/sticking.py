@@ -15,8 +15,8 @@ from mjtactile.warp.device.relaxation import synchronize
 wp.set_module_options({"enable_backward": False})
 
 _STEPS = wp.constant(100)  # maximum steps of the conjugate gradients
-_CLOSE = wp.constant(1.0e-6)  # squared residual of a stiffness, over that of the start
-_CHANGED = wp.constant(0.05)  # fraction of contact nodes that may change before it is stale
+# squared residual of a stiffness, over that of the start: 0.1 % of the stiffness, quadratic in it
+_CLOSE = wp.constant(1.0e-4)
 
 
 @wp.struct
@@ -79,7 +79,8 @@ def list_held(
             if patch != sticking.known[f, n]:
                 differ += 1
         sticking.count[f] = count
-        sticking.stale[f] = wp.where(float(differ) > _CHANGED * float(count), 1, 0)
+        # one node at the border of 20 has 3 % of the torsional stiffness, one of four has 20 %
+        sticking.stale[f] = wp.where(differ > 0, 1, 0)
         if sticking.stale[f] != 0:
             for n in range(inner):
                 sticking.known[f, n] = patch_of(fields, slot_of, f, finger, node_of(membrane, n))
@@ -169,9 +170,9 @@ def grip_of(
     middle: wp.vec3,
     lane: int,
     threads: int,
-) -> wp.vec3:
-    """Return the stiffness of a patch along x and y, N/m, and about its center, N m/rad."""
-    found = wp.vec3(0.0, 0.0, 0.0)
+) -> wp.mat33:
+    """Return the stiffness of a patch: x, y, and rotation about its center. N/m, N, N m/rad."""
+    found = wp.mat33()
     for motion in range(3):
         for a in range(lane, 2 * sticking.count[f], threads):
             n = sticking.held[f, a // 2]
@@ -182,14 +183,24 @@ def grip_of(
                 moved = _rigid(x, middle, motion, a % 2)
             start_from(sticking, f, 2 * n + a % 2, moved)
         find_loads(sticking, f, lane, threads, _CLOSE)
-        total = float(0.0)
+        total = wp.vec3(0.0, 0.0, 0.0)
         for a in range(lane, 2 * sticking.count[f], threads):
             n = sticking.held[f, a // 2]
             k = node_of(membrane, n)
             if patch_of(fields, slot_of, f, finger, k) == slot + 1:
                 x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
                 load = sticking.loads[f, 2 * n + a % 2]
-                total += load * _rigid(x, middle, motion, a % 2)
-        found[motion] = _sum(total)
+                for other in range(3):
+                    total[other] += load * _rigid(x, middle, other, a % 2)
+        for other in range(3):
+            found[motion, other] = _sum(total[other])
         synchronize()
-    return found
+    return 0.5 * (found + wp.transpose(found))
+
+
+@wp.func
+def about_center(grip: wp.mat33, by: wp.vec3) -> wp.mat33:
+    """Return a stiffness by `grip_of` about a center that has moved by `by`, m, on the body."""
+    # a rotation about the new center is one about the old center with a translation
+    T = wp.mat33(1.0, 0.0, by[1], 0.0, 1.0, -by[0], 0.0, 0.0, 1.0)
+    return wp.transpose(T) @ grip @ T

@@ -12,7 +12,7 @@ from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.lowest_obstacle import any_thin
 from mjtactile.warp.device.obstacles import CONVEX, Geom
 from mjtactile.warp.device.relaxation import synchronize
-from mjtactile.warp.device.sticking import Sticking, grip_of, list_held
+from mjtactile.warp.device.sticking import Sticking, about_center, grip_of, list_held
 
 wp.set_module_options({"enable_backward": False})
 
@@ -210,9 +210,9 @@ def update_all(
             R_SB = wp.transpose(R) @ xmat[world, body]
             p_SB = wp.transpose(R) @ (xpos[world, body] - p)
             last = states.patches[f, slot]
-            grip = last.grip
+            grip = about_center(last.grip, patch.middle - last.middle)
             if patch.normal > MIN_FORCE and states.friction[f] > 0.0:
-                if sticking.stale[f] != 0 or last.grip[0] <= 0.0:
+                if sticking.stale[f] != 0 or last.grip[0, 0] <= 0.0:
                     grip = grip_of(
                         membrane,
                         fields,
