@@ -221,7 +221,9 @@ def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
         phase = _next(before, observation, time, grip)
     if phase != before:
         time = 0.0
-    if phase not in ("release", "done", "abort"):
+    if phase == before == "hold" and observation.goal.handover:
+        grip = min(grip, gripper.opening)
+    elif phase not in ("release", "done", "abort"):
         grip = gripper.opening
     gone = last.memory.get("gone", 0.0) or float(phase == "lower" and lost > LOST_TIME)
     phase = "abort" if phase == "done" and gone else phase
@@ -243,6 +245,9 @@ def _next(phase: str, observation: Observation, time: float, grip: float) -> str
         if all(touching):
             return "regulate"
         return "close" if any(touching) else "approach"
+    if phase == "hold" and observation.goal.handover:
+        opens = observation.command.opening > grip + NEAR
+        return "release" if opens or not any(touching) else phase
     ends = {
         "lift": height > observation.goal.lift_height - NEAR,
         "hold": time >= observation.goal.hold_time,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -11,7 +10,8 @@ import warp as wp
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.task import SuccessCriteria, load_task
+from mjtactile.core.task import load_task
+from mjtactile.core.task_sections import SuccessCriteria
 from mjtactile.core.types import TaskGoal
 from mjtactile.rig.finger import Rig
 from mjtactile.sim.fast_reset import movable
@@ -22,8 +22,9 @@ from mjtactile.warp.device.grasp_phase import TaskLimits
 from mjtactile.warp.device.gripper import Drive
 from mjtactile.warp.device.restart import Scene
 from mjtactile.warp.device.sensing_errors import ErrorModel
+from mjtactile.warp.device.task_score import Criteria
 
-TASKS = ("lift", "pour", "shake", "bump", "wet", "weigh")
+TASKS = ("lift", "pour", "shake", "bump", "wet", "weigh", "place", "hand-over")
 """Shipped tasks that run on a device."""
 _SOURCE = "Grasp-v0 with a device"
 
@@ -33,8 +34,7 @@ def require_supported(scenario: Scenario, rig: Rig) -> None:
     world = rig.scene
     task = load_task(scenario.task)
     kinds = {disturbance.kind for disturbance in task.disturbances}
-    strict = replace(task.success, max_drop=SuccessCriteria().max_drop) != SuccessCriteria()
-    if task.waypoints or task.object.liquid or kinds - set(KINDS) or strict:
+    if task.waypoints or task.object.liquid or kinds - set(KINDS):
         text = f"{scenario.task!r} needs more than {', '.join(KINDS)}; it does not run on a device"
         raise InputError(text, source=_SOURCE, field="task", choices=TASKS)
     if not movable(world):
@@ -84,12 +84,20 @@ def limits_of(rig: Rig, goal: TaskGoal) -> Any:
     limits = TaskLimits()
     of_rig = rig.limits
     limits.lift_height, limits.hold_time = float(goal.lift_height), float(goal.hold_time)
-    limits.place_height = float(goal.place_height)
+    limits.place_height, limits.handover = float(goal.place_height), int(goal.handover)
     limits.opening_min, limits.opening_max = (float(opening) for opening in of_rig.opening)
     limits.speed, limits.force = float(of_rig.speed), float(of_rig.force)
     limits.lift_max, limits.lift_speed = float(of_rig.lift[1]), float(of_rig.lift_speed)
     limits.period = float(rig.period)
     return limits
+
+
+def criteria_of(success: SuccessCriteria) -> Any:
+    """Return the success criteria of a task."""
+    criteria = Criteria()
+    for name in Criteria.vars:
+        setattr(criteria, name, float(getattr(success, name)))
+    return criteria
 
 
 _PER_WORLD: dict[str, Any] = {

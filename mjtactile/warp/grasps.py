@@ -20,6 +20,7 @@ import warp as wp
 from mjtactile.core import policy
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import load_task
+from mjtactile.core.task_sections import SuccessCriteria
 from mjtactile.core.types import Array
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.sim.rig import build_sim_rig
@@ -33,7 +34,15 @@ from mjtactile.warp.device.grasp_score import OUTCOMES, Scores, finish_step, sco
 from mjtactile.warp.device.gripper import Goals, drive_grippers
 from mjtactile.warp.device.restart import Poses, restart_worlds
 from mjtactile.warp.device.sensing_errors import Estimates, estimate_all
-from mjtactile.warp.grasp_setup import drive_of, error_model, limits_of, require_supported, scene_of
+from mjtactile.warp.device.task_score import TaskState, score_task
+from mjtactile.warp.grasp_setup import (
+    criteria_of,
+    drive_of,
+    error_model,
+    limits_of,
+    require_supported,
+    scene_of,
+)
 from mjtactile.warp.object_mix import random_mix, single, write_mix
 from mjtactile.warp.scene import bind_bodies
 from mjtactile.warp.starts import sample_starts, with_seed
@@ -109,7 +118,7 @@ class Grasps:
         self._d = mjw.put_data(self.model, world.data, nworld=worlds, nconmax=48, njmax=144)
         gripper = int(world.start.gripper)
         self._scene = scene_of(self.model, self._m, worlds, gripper, world.sensors[0].friction)
-        self._up_since = wp.full(worlds, -1.0, dtype=float)
+        self._task = zeros_of(TaskState, worlds)
         gravity = np.tile(self.model.opt.gravity.astype(np.float32), (worlds, 1))
         self._m.opt.gravity = wp.array(gravity, dtype=wp.vec3)
         self._poses = Poses()
@@ -142,8 +151,8 @@ class Grasps:
         self._progress = wp.array(table, dtype=float)
         self._time_limit = time_limit
         task = load_task(self.scenario.task)
-        self._is_disturbed = bool(task.disturbances)
-        self._max_drop = float(task.success.max_drop)
+        self._is_plain = not task.disturbances and task.success == SuccessCriteria()
+        self._criteria = criteria_of(task.success)
         self._body = self.model.body(f"{PREFIX}object").id
 
     def reset(self, seed: int, mask: Any = None) -> None:
@@ -187,7 +196,8 @@ class Grasps:
                 inputs=[
                     *(self.scores, self._limits, self._rewards, self._progress),
                     *(self._time_limit, self.fingers, self._estimates, self._commands),
-                    *(self._d.time, self._d.qpos),
+                    *(self._criteria, self._task, self._starts.row, self._starts.pulls),
+                    *(self._body, self._d.time, self._d.qpos, self._d.xquat, self._d.xipos),
                 ],
             )
 
@@ -235,7 +245,7 @@ class Grasps:
                     *(d.qpos, d.ctrl),
                 ],
             )
-            if self._is_disturbed:
+            if not self._is_plain:
                 self._disturb()
             mjw.step(m, d)
             wp.launch(
@@ -243,10 +253,25 @@ class Grasps:
                 dim=self.worlds,
                 inputs=[
                     *(self.scores, self._drive, self.fingers, self._body, start),
-                    *(self._max_drop, self.touch.membrane_wrench, self.touch.membrane_status),
-                    *(d.qpos, d.xpos, d.xipos),
+                    *(self._criteria.max_drop, self.touch.membrane_wrench),
+                    *(self.touch.membrane_status, d.qpos, d.xpos, d.xipos),
                 ],
             )
+            if not self._is_plain:
+                self._score_task()
+
+    def _score_task(self) -> None:
+        m, d = self._m, self._d
+        starts = self._starts
+        wp.launch(
+            score_task,
+            dim=self.worlds,
+            inputs=[
+                *(self._task, starts.free_bodies, starts.dof, self.fingers),
+                *(float(self.model.opt.timestep), self.scores.counted, m.opt.gravity, d.time),
+                *(m.body_mass, d.qfrc_constraint, self.touch.membrane_wrench),
+            ],
+        )
 
     def _disturb(self) -> None:
         m, d = self._m, self._d
@@ -257,7 +282,8 @@ class Grasps:
             inputs=[
                 *(self.fingers, up, wp.vec3(*self.model.opt.gravity), self._events, self._starts),
                 *(self._scene, self._drive, self.touch.membrane_friction, d.time, d.qpos),
-                *(self._up_since, m.opt.gravity, d.xfrc_applied),
+                *(self._task, self._poses, self.touch.membrane_wrench, d.cvel),
+                *(m.opt.gravity, d.xfrc_applied),
             ],
         )
 
@@ -271,7 +297,7 @@ class Grasps:
                 *(self._commands, self.scores, self._errors, self._estimates),
                 *(self.touch.membrane_friction, self.touch.membranes.modulus),
                 *(self.touch.membrane_volume, d.time, d.qpos, d.qvel),
-                *(d.qacc_warmstart, d.ctrl, d.actuator_force, self._poses, self._up_since),
+                *(d.qacc_warmstart, d.ctrl, d.actuator_force, self._poses, self._task),
             ],
         )
         self.touch.reset(mask)

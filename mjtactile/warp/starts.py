@@ -19,7 +19,8 @@ from mjtactile.rig.domain_randomization import NONE, SampledWorld, load_variatio
 from mjtactile.rig.finger import Rig
 from mjtactile.sim.fast_reset import object_roots, planar_pose
 from mjtactile.sim.rig import object_in_task, place, start_of, strength_in_task
-from mjtactile.sim.scenes.disturbances import ROTATION_MAX
+from mjtactile.sim.scenes.disturbances import ROTATION_MAX, static_bodies
+from mjtactile.sim.scenes.initial_state import path_axes
 from mjtactile.sim.scenes.objects import PREFIX
 from mjtactile.warp.arrays import floats, ints
 from mjtactile.warp.as_built_membranes import match_membranes
@@ -108,20 +109,25 @@ def sample_starts(
     roots = object_roots(model)
     free = [body for body in roots if model.body_jntnum[body]]
     fixed = [body for body in roots if not model.body_jntnum[body]]
+    supports = [body for body in static_bodies(model).tolist() if body not in roots]
     scale = np.array([1 + one.object.size for one in sampled])
     starts = Starts()
-    starts.free_bodies, starts.fixed_bodies = ints(free), ints(fixed)
+    starts.free_bodies, starts.fixed_bodies = ints(free), ints([*fixed, *supports])
+    on_fixed = np.isin(model.body_rootid[model.geom_bodyid], [*fixed, *supports])
+    starts.fixed_geoms = ints(np.flatnonzero(on_fixed))
     starts.address = ints([model.jnt_qposadr[model.body_jntadr[body]] for body in free])
     starts.dof = ints([model.body_dofadr[body] for body in free])
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] in roots]
     starts.geoms = ints(geoms)
     starts.objects = objects_of(model, mix, geoms, free)
     starts.kind = ints(kinds)
-    for name, bodies in (("free", free), ("fixed", fixed)):
-        table = np.zeros((len(seeds), max(len(bodies), 1), 7))
+    for name, bodies, others in (("free", free, []), ("fixed", fixed, supports)):
+        table = np.zeros((len(seeds), max(len(bodies) + len(others), 1), 7))
         local = _local(world, mix, bodies, start_of(scenario.seed)[0])
         for b in range(len(bodies)):
             table[:, b] = _moved(local[kinds, b], poses, scale, world)
+        for b, body in enumerate(others, len(bodies)):
+            table[:, b] = [*model.body_pos[body], *model.body_quat[body]]
         setattr(starts, name, floats(table))
     starts.qpos, starts.ctrl = floats(data.qpos), floats(data.ctrl)
     starts.opening, starts.force = float(world.opening), float(rig.limits.force)
@@ -141,6 +147,7 @@ def sample_starts(
     center = scale * own  # the object stands upright, or has its center there
     heights = starts.free.numpy()[:, free.index(main), 2] + center if main in free else center
     starts.rest_height = floats(heights)
+    starts.pulls = floats([one.pulls() for one in tasks])
     speed = world.rig.gripper.speed
     starts.rig = floats(
         [(c.delay, c.jitter, c.backlash, (1 + c.speed) * speed, c.force_noise)
@@ -148,11 +155,13 @@ def sample_starts(
     )  # fmt: skip
     starts.episode = wp.zeros(worlds, dtype=int)
     starts.row = wp.zeros(worlds, dtype=int)
-    return SampledStarts(starts, np.asarray(seeds), kinds, floats(_events(tasks)))
+    return SampledStarts(
+        starts, np.asarray(seeds), kinds, floats(_events(tasks, path_axes(world.start)))
+    )
 
 
-def _events(tasks: Sequence[SampledTask]) -> Array:
-    """Return the disturbances of each world as rows."""
+def _events(tasks: Sequence[SampledTask], axes: Array) -> Array:
+    """Return the disturbances of each world as rows; their directions are along `axes` in W."""
     table = np.zeros((len(tasks), max(1, *(len(one.events) for one in tasks)), COLUMNS))
     table[:, :, 0], table[:, :, 2] = -1, 1
     for rows, task in zip(table, tasks, strict=True):
@@ -160,7 +169,7 @@ def _events(tasks: Sequence[SampledTask]) -> Array:
             values = [event.values.get(name, 0.0) for name in VALUES[event.kind]]
             row[:3] = KINDS.index(event.kind), event.start, event.duration
             row[3 : 3 + len(values)] = values
-            row[6:9], row[9] = event.direction, event.finger or 0
+            row[6:9], row[9] = np.array(event.direction) @ axes, event.finger or 0
             if event.kind == "shake":
                 row[5] = min(row[5], ROTATION_MAX)
     return table

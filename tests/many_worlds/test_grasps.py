@@ -153,7 +153,7 @@ def test_as_built_membranes_have_the_rest_volume_of_their_own_design():
     ("how", "text"),
     [
         ({"object": "tofu"}, "soft"),
-        ({"task": "place"}, "needs more than fill"),
+        ({"task": "carry"}, "needs more than fill"),
         ({"reward": "nothing"}, "outcome, progress"),
     ],
 )

@@ -22,7 +22,7 @@ from mjtactile.warp.grasp_setup import error_model
 
 pytestmark = pytest.mark.slow(20)  # compiles kernels
 WORLDS, PERIOD = 400, 1 / 31  # no whole number of periods in a time limit
-GOAL = TaskGoal(lift_height=0.01, hold_time=0.2)
+GOALS = [TaskGoal(lift_height=0.01, hold_time=0.2, handover=taken) for taken in (False, True)]
 LIMITS = CommandLimits(speed=0.05, lift_speed=0.05, force=7.0)
 
 
@@ -32,16 +32,18 @@ def on_the_cpu():
         yield
 
 
-def limits_of_kernel():
+def limits_of_kernel(goal):
     limits = grasp_phase.TaskLimits()
-    limits.lift_height, limits.hold_time = GOAL.lift_height, GOAL.hold_time
+    limits.lift_height, limits.hold_time = goal.lift_height, goal.hold_time
+    limits.handover = int(goal.handover)
     limits.opening_min, limits.opening_max = LIMITS.opening
     limits.speed, limits.force, limits.period = LIMITS.speed, LIMITS.force, PERIOD
     limits.lift_max, limits.lift_speed = LIMITS.lift[1], LIMITS.lift_speed
     return limits
 
 
-def test_commands_and_phases_follow_command_from_action_through_complete_grasps():
+@pytest.mark.parametrize("goal", GOALS, ids=["lift", "hand-over"])
+def test_commands_and_phases_follow_command_from_action_through_complete_grasps(goal):
     """The touch is random but persistent, so that all phases occur; forces are known."""
     rng = np.random.default_rng(0)
     commands, goals = zeros_of(grasp_phase.Commands, WORLDS, measured=4), zeros_of(Goals, WORLDS)
@@ -66,7 +68,7 @@ def test_commands_and_phases_follow_command_from_action_through_complete_grasps(
         actions = np.clip(rng.normal([0, 0, 0.3], 0.7, (WORLDS, 3)), -1.2, 1.2).astype(np.float32)
         actions[:, 0] += [c.phase == "release" for c in last]
         actions[:, 2] -= [2 * (c.phase == "lower") for c in last]
-        seen = [observation(touching[w], measured[w], last[w]) for w in range(WORLDS)]
+        seen = [observation(touching[w], measured[w], last[w], goal) for w in range(WORLDS)]
         wp.launch(grasp_phase.observe_all, WORLDS, [2, maximum, estimates, commands, observed])
         requested = np.array([policy.policy_observation(one) for one in seen])
         np.testing.assert_allclose(observed.numpy(), requested, atol=1e-5)  # single precision
@@ -74,7 +76,7 @@ def test_commands_and_phases_follow_command_from_action_through_complete_grasps(
             grasp_phase.command_all,
             WORLDS,
             [
-                limits_of_kernel(),
+                limits_of_kernel(goal),
                 2,
                 wp.array(actions, dtype=float),
                 estimates,
@@ -100,13 +102,13 @@ def test_commands_and_phases_follow_command_from_action_through_complete_grasps(
     assert phases == set(grasp_phase.NAMES)
 
 
-def observation(touching, measured, last):
+def observation(touching, measured, last, goal):
     touches = tuple(
         Touch(0.0, 0.0, 0.0, 0.01, bool(one), traction=None) for one in touching.tolist()
     )
     opening, speed, effort, height = (float(one) for one in measured)
     state = GripperState(opening, speed, effort, height)
-    return Observation(0.0, PERIOD, touches, state, (), last, GOAL)
+    return Observation(0.0, PERIOD, touches, state, (), last, goal)
 
 
 @pytest.mark.parametrize("load", [0.0, 0.4, 2.0])

@@ -66,7 +66,7 @@ class DisturbanceSchedule:
         self._surfaces = np.flatnonzero(owners)
         self._surface_friction = model.geom_friction[self._surfaces, 0].copy()
         self._frictions = [sensor.friction for sensor in world.sensors]
-        self._supports = _static_bodies(model)
+        self._supports = static_bodies(model)
         self._support_height = model.body_pos[self._supports, 2].copy()
         self._first_mass = float(self._mass.sum())
         self._second = world.second_object
@@ -210,7 +210,7 @@ def _shaken(gravity: Array, event: SampledDisturbance, time: float, done: float)
     return turned
 
 
-def _static_bodies(model: mujoco.MjModel) -> NDArray[np.int64]:
+def static_bodies(model: mujoco.MjModel) -> NDArray[np.int64]:
     """Return the table and the static bodies of the object's file: children of the world."""
     return np.array(
         [

@@ -5,7 +5,8 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.warp.device.gripper import Drive, height_of
-from mjtactile.warp.device.restart import Scene, Starts
+from mjtactile.warp.device.restart import Poses, Scene, Starts, place_fixed
+from mjtactile.warp.device.task_score import TaskState
 
 wp.set_module_options({"enable_backward": False})
 
@@ -13,7 +14,9 @@ FILL = wp.constant(0)
 FRICTION = wp.constant(1)
 SHAKE = wp.constant(2)
 PUSH = wp.constant(3)
-KINDS = ("fill", "friction", "shake", "push")
+MOVE_SUPPORT = wp.constant(4)
+PULL = wp.constant(5)
+KINDS = ("fill", "friction", "shake", "push", "move_support", "pull")
 COLUMNS = 10
 """Kind, start s, duration s, three values, direction (3,), finger from 1 (0: all).
 
@@ -24,7 +27,10 @@ VALUES = {
     "friction": ("friction",),
     "shake": ("acceleration", "rate", "tilt"),
     "push": ("impulse",),
+    "move_support": ("height",),
+    "pull": ("force",),
 }
+_TAKEN_TIME = wp.constant(0.02)  # time to stop an object taken by a person, s
 
 
 @wp.func
@@ -70,6 +76,35 @@ def _fill(starts: Starts, scene: Scene, world: int, row: int, mass: float, fract
         scene.body_inertia[world, body] = ratio * first * s * s * starts.objects.inertia[k, b]
 
 
+@wp.func
+def _pull(
+    task: TaskState,
+    starts: Starts,
+    scene: Scene,
+    wrench: wp.array2d(dtype=float),
+    velocity: wp.array2d(dtype=wp.spatial_vector),
+    gravity: wp.vec3,
+    fingers: int,
+    w: int,
+    force: wp.vec3,
+) -> wp.vec3:
+    """Return a pull; an object that has left the grip is held in place."""
+    touches = int(0)
+    for k in range(fingers):
+        if wrench[w * fingers + k, 2] < 0.0:
+            touches += 1
+    if touches < wp.min(2, fingers):
+        task.taken[w] = 1
+    found = force
+    if task.taken[w] != 0:
+        found = wp.vec3(0.0, 0.0, 0.0)
+        for b in range(starts.free_bodies.shape[0]):
+            body = starts.free_bodies[b]
+            speed = wp.spatial_bottom(velocity[w, body])
+            found -= scene.body_mass[w, body] * (gravity + speed / _TAKEN_TIME)
+    return found
+
+
 @wp.kernel
 def disturb_worlds(
     fingers: int,
@@ -82,7 +117,10 @@ def disturb_worlds(
     membrane_friction: wp.array(dtype=float),
     time: wp.array(dtype=float),
     qpos: wp.array2d(dtype=float),
-    up_since: wp.array(dtype=float),
+    task: TaskState,
+    poses: Poses,
+    wrench: wp.array2d(dtype=float),
+    velocity: wp.array2d(dtype=wp.spatial_vector),
     world_gravity: wp.array(dtype=wp.vec3),
     xfrc: wp.array2d(dtype=wp.spatial_vector),
 ):
@@ -92,12 +130,12 @@ def disturb_worlds(
     """
     world = wp.tid()
     row = starts.row[world]
-    if up_since[world] < 0.0 and height_of(drive, qpos, world) >= up:
-        up_since[world] = time[world]
+    if task.up_since[world] < 0.0 and height_of(drive, qpos, world) >= up:
+        task.up_since[world] = time[world]
     force = wp.vec3(0.0, 0.0, 0.0)
     turned = gravity
-    if up_since[world] >= 0.0:
-        since = time[world] - up_since[world]
+    if task.up_since[world] >= 0.0:
+        since = time[world] - task.up_since[world]
         smallest = float(1.0e6)
         for k in range(fingers):
             f = world * fingers + k
@@ -133,6 +171,13 @@ def disturb_worlds(
                 )
             if x > 0.0 and x < 1.0 and kind == PUSH:
                 force += events[row, e, 3] / events[row, e, 2] * direction
+            if x > 0.0 and kind == PULL:
+                pull = events[row, e, 3] * x * direction
+                now = world_gravity[world]
+                force += _pull(task, starts, scene, wrench, velocity, now, fingers, world, pull)
+            if x > 0.0 and kind == MOVE_SUPPORT:
+                task.rise[world] = events[row, e, 3] * x
+                place_fixed(starts, scene, poses, world, row, task.rise[world])
     world_gravity[world] = turned
     total = float(0.0)
     for b in range(starts.free_bodies.shape[0]):

@@ -45,11 +45,15 @@ _OWN = wp.constant(OWN)
 
 @wp.struct
 class TaskLimits:
-    """Goal of the task and limits of the rig: heights m, times s, speeds m/s, force N."""
+    """Goal of the task and limits of the rig: heights m, times s, speeds m/s, force N.
+
+    `handover` is 1 if the object will be taken out of the gripper.
+    """
 
     lift_height: float
     place_height: float
     hold_time: float
+    handover: int
     opening_min: float
     opening_max: float
     speed: float
@@ -100,6 +104,7 @@ def _next_phase(
     fingers: int,
     height: float,
     opening: float,
+    commanded: float,
     grip: float,
     time: float,
 ) -> int:
@@ -117,7 +122,10 @@ def _next_phase(
         if height > limits.lift_height - _NEAR:
             found = HOLD
     elif phase == 4:
-        if time >= limits.hold_time:
+        if limits.handover != 0:
+            if touches == 0 or commanded > grip + _NEAR:
+                found = RELEASE
+        elif time >= limits.hold_time:
             found = LOWER
     elif phase == 5:
         if height < limits.place_height + _DOWN:
@@ -168,10 +176,15 @@ def command_all(
     if (before == 3 or before == 4) and lost > _LOST_TIME:
         phase = LOWER
     else:
-        phase = _next_phase(limits, before, touches, fingers, height, opening, grip, in_phase)
+        last_opening = commands.opening[world]
+        phase = _next_phase(
+            limits, before, touches, fingers, height, opening, last_opening, grip, in_phase
+        )
     if phase != before:
         in_phase = 0.0
     if phase < 6:
+        if limits.handover != 0 and phase == 4 and before == 4:
+            opening = wp.min(grip, opening)
         commands.grip_opening[world] = opening
     if phase == 5 and lost > _LOST_TIME:
         commands.gone[world] = 1

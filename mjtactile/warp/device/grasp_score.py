@@ -8,6 +8,7 @@ from mjtactile.core import policy
 from mjtactile.warp.device.grasp_phase import Commands, TaskLimits
 from mjtactile.warp.device.gripper import Drive, height_of
 from mjtactile.warp.device.sensing_errors import Estimates
+from mjtactile.warp.device.task_score import Criteria, TaskState, is_failed
 
 wp.set_module_options({"enable_backward": False})
 
@@ -170,8 +171,15 @@ def finish_step(
     fingers: int,
     estimates: Estimates,
     commands: Commands,
+    criteria: Criteria,
+    task: TaskState,
+    row: wp.array(dtype=int),
+    pulls: wp.array(dtype=float),
+    grasped: int,
     time: wp.array(dtype=float),
     qpos: wp.array2d(dtype=float),
+    xquat: wp.array2d(dtype=wp.quat),
+    xipos: wp.array2d(dtype=wp.vec3),
 ):
     """Decide outcome, reward and end after a control step."""
     world = wp.tid()
@@ -185,8 +193,13 @@ def finish_step(
     elif phase >= 7:
         outcome = DROPPED
         steps = scores.hold_steps[world]
+        q = xquat[world, grasped]
+        up = 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
+        height = xipos[world, grasped][2] - scores.rest_height[world]
+        failed = is_failed(task, criteria, pulls[row[world]], up, height, world)
         if steps > 0 and scores.held_steps[world] == steps and scores.fell[world] == 0:
-            outcome = HELD
+            if not failed:
+                outcome = HELD
     valid = int(1)
     for k in range(qpos.shape[1]):
         if not wp.isfinite(qpos[world, k]):

@@ -8,6 +8,7 @@ from mjtactile.warp.device.grasp_phase import Commands, measure
 from mjtactile.warp.device.grasp_score import Scores
 from mjtactile.warp.device.gripper import Drive, Goals, limit_force
 from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, restart_errors
+from mjtactile.warp.device.task_score import TaskState
 
 wp.set_module_options({"enable_backward": False})
 
@@ -46,8 +47,9 @@ class Starts:
     qvel. `kind` is the number of the object in `objects`. Relative to it are `scale`, its size,
     `mass`, `friction` (rows, 1 + fingers) of its geoms and of each membrane, and `modulus` (rows,
     fingers) of the membranes. `volume` (rows, fingers) are their rest volumes, m^3. `break_force`
-    is in N. `rig` (rows, 5): delay, jitter, play, speed, force noise. `episode` (worlds,) counts;
-    `row` (worlds,) is the present one.
+    is in N. `pulls` (rows,) is the time of a pull after the lift, s. `rig` (rows, 5): delay,
+    jitter, play, speed, force noise. `episode` (worlds,) counts; `row` (worlds,) is the present
+    one. `fixed_geoms` are the geoms of the fixed bodies, which are the object's and the table.
     """
 
     objects: Objects
@@ -61,6 +63,7 @@ class Starts:
     free_bodies: wp.array(dtype=int)
     address: wp.array(dtype=int)
     fixed_bodies: wp.array(dtype=int)
+    fixed_geoms: wp.array(dtype=int)
     geoms: wp.array(dtype=int)
     free: wp.array3d(dtype=float)
     fixed: wp.array3d(dtype=float)
@@ -71,6 +74,7 @@ class Starts:
     volume: wp.array2d(dtype=float)
     break_force: wp.array(dtype=float)
     rest_height: wp.array(dtype=float)
+    pulls: wp.array(dtype=float)
     rig: wp.array2d(dtype=float)
     episode: wp.array(dtype=int)
     row: wp.array(dtype=int)
@@ -126,41 +130,40 @@ def _matrix(q: wp.quat) -> wp.mat33:
 
 
 @wp.func
-def _write_fixed(starts: Starts, scene: Scene, poses: Poses, w: int) -> None:
-    """Write the poses of the object's bodies without a joint, and of their geoms."""
+def place_fixed(starts: Starts, scene: Scene, poses: Poses, w: int, row: int, rise: float) -> None:
+    """Write the poses of the fixed bodies and their geoms, all raised by `rise` m."""
     for b in range(starts.fixed_bodies.shape[0]):
         body = starts.fixed_bodies[b]
-        p = scene.body_pos[w, body]
-        R = _matrix(scene.body_quat[w, body])
+        x = starts.fixed[row, b, 0]
+        y = starts.fixed[row, b, 1]
+        p = wp.vec3(x, y, starts.fixed[row, b, 2] + rise)
+        q = wp.quat(
+            starts.fixed[row, b, 3],
+            starts.fixed[row, b, 4],
+            starts.fixed[row, b, 5],
+            starts.fixed[row, b, 6],
+        )
+        R = _matrix(q)
+        scene.body_pos[w, body] = p
+        scene.body_quat[w, body] = q
         poses.xpos[w, body] = p
-        poses.xquat[w, body] = scene.body_quat[w, body]
+        poses.xquat[w, body] = q
         poses.xmat[w, body] = R
         poses.xipos[w, body] = p + R @ scene.body_ipos[w, body]
-        for g in range(starts.geoms.shape[0]):
-            geom = starts.geoms[g]
+        for g in range(starts.fixed_geoms.shape[0]):
+            geom = starts.fixed_geoms[g]
             if scene.body_of[geom] == body:
                 poses.geom_xpos[w, geom] = p + R @ scene.geom_pos[w, geom]
                 poses.geom_xmat[w, geom] = R @ _matrix(scene.geom_quat[w, geom])
 
 
 @wp.func
-def _place(starts: Starts, scene: Scene, qpos: wp.array2d(dtype=float), w: int, row: int) -> None:
+def _place(starts: Starts, qpos: wp.array2d(dtype=float), w: int, row: int) -> None:
     for k in range(qpos.shape[1]):
         qpos[w, k] = starts.qpos[k]
     for b in range(starts.free_bodies.shape[0]):
         for c in range(7):
             qpos[w, starts.address[b] + c] = starts.free[row, b, c]
-    for b in range(starts.fixed_bodies.shape[0]):
-        body = starts.fixed_bodies[b]
-        scene.body_pos[w, body] = wp.vec3(
-            starts.fixed[row, b, 0], starts.fixed[row, b, 1], starts.fixed[row, b, 2]
-        )
-        scene.body_quat[w, body] = wp.quat(
-            starts.fixed[row, b, 3],
-            starts.fixed[row, b, 4],
-            starts.fixed[row, b, 5],
-            starts.fixed[row, b, 6],
-        )
 
 
 @wp.func
@@ -243,7 +246,7 @@ def restart_worlds(
     ctrl: wp.array2d(dtype=float),
     actuator_force: wp.array2d(dtype=float),
     poses: Poses,
-    up_since: wp.array(dtype=float),
+    task: TaskState,
 ):
     w = wp.tid()
     if not mask[w]:
@@ -251,10 +254,15 @@ def restart_worlds(
     row = (w + starts.episode[w] * mask.shape[0]) % starts.scale.shape[0]
     starts.episode[w] += 1
     starts.row[w] = row
-    up_since[w] = -1.0
-    _place(starts, scene, qpos, w, row)
+    task.up_since[w] = -1.0
+    task.rise[w] = 0.0
+    task.taken[w] = 0
+    task.impact[w] = 0.0
+    task.released_at[w] = wp.nan
+    task.torn[w] = 0
+    _place(starts, qpos, w, row)
     _change(starts, scene, w, row)
-    _write_fixed(starts, scene, poses, w)
+    place_fixed(starts, scene, poses, w, row, 0.0)
     for k in range(qvel.shape[1]):
         qvel[w, k] = 0.0
         warmstart[w, k] = 0.0

@@ -12,7 +12,15 @@ from mjtactile.core.policy import (
     policy_observation,
     policy_observation_names,
 )
-from mjtactile.core.types import Command, GripperState, Observation, Touch, Traction, ValveState
+from mjtactile.core.types import (
+    Command,
+    GripperState,
+    Observation,
+    TaskGoal,
+    Touch,
+    Traction,
+    ValveState,
+)
 
 PERIOD = 1 / 30
 
@@ -112,3 +120,17 @@ def test_what_was_lost_is_not_held_on():
     for height in (0.0, 0.0):
         command = command_from_action(seen((0, 0), 0.06, height, command), [0, 0, 0])
     assert command.phase == "abort"  # not "done": nothing was set down
+
+
+@pytest.mark.parametrize("handover", [False, True])
+def test_an_opening_grip_hands_over(handover):
+    """With `handover` the hold ends when the goal of the jaws is 1 mm beyond the grip."""
+    goal = TaskGoal(handover=handover)
+    last = Command(0.05, 4.0, 0.04, "hold", {"grip_opening": 0.05})
+    phases = []
+    for _ in range(3):  # by 1.7 mm in each cycle
+        last = command_from_action(
+            replace(seen((0.4, 0.4), 0.05, 0.04, last), goal=goal), (1.0, 0.0, 0.0)
+        )
+        phases.append(last.phase)
+    assert phases == ["hold", *(2 * ["release" if handover else "hold"])]
