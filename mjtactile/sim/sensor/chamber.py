@@ -17,7 +17,7 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
-# of the changes of volume that add up; m^3
+# offset of the tendon length, as a fraction of the sum of its contributions, m^3
 _OFFSET = 1e-10
 _MIN_LENGTH = 1e-12
 
