@@ -124,9 +124,9 @@ def table(result: Mapping[str, Any]) -> str:
         "Error: median on the default mesh to median on the finer mesh / largest. Beyond: loads "
         "whose error exceeds both the required one and 2 sd (in parentheses: without a flag).",
         "",
-        "| sensor | plate | largest force, N | with pressure sensor: error, % | unknown; beyond | "
+        "| sensor | plate | with pressure sensor: error, % | unknown; beyond | "
         "without: error, % | unknown; beyond |",
-        "|---" * 7 + "|",
+        "|---" * 6 + "|",
     ]
     for key, group in itertools.groupby(
         sorted(result["rows"], key=_order), key=lambda row: (row["sensor"], row["plate"])
@@ -134,7 +134,7 @@ def table(result: Mapping[str, Any]) -> str:
         rows = list(group)
         sensor, plate = key
         lines.append(
-            f"| `{sensor}` | {plate} | {max(row['force_max_N'] for row in rows):.1f} | "
+            f"| `{sensor}` | {plate} | "
             + " | ".join(
                 _cells([row for row in rows if row["gauge"] == gauge]) for gauge in ALLOWED
             )
