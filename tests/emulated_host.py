@@ -81,7 +81,10 @@ def controller_text(hold: float = 60.0) -> str:
     text = shipped_with(
         "gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, LIFT_SPEED=0.08, OPENING_SPEED=0.08
     )
-    return text.replace("observation.goal.hold_time", f"{hold}")
+    before = "return phases.hold(observation, "
+    brief = f"goal = replace(observation.goal, hold_time={hold})\n    observation = replace(observation, goal=goal)"
+    assert text.count(before) == 1
+    return text.replace(before, f"{brief}\n    {before}")
 
 
 class Host:

@@ -17,6 +17,7 @@ from mjtactile.report.shape_wireframe import lines_of, recorded_shape
 from mjtactile.rig.scenario import resolve_scenario
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
+from tests.emulated_host import controller_text
 
 CLOSES = """
 from dataclasses import replace
@@ -99,10 +100,13 @@ def _without(observation):
 
 
 @pytest.mark.slow(25)
-def test_an_egg_is_smooth_on_the_default_mesh():
+def test_an_egg_is_smooth_on_the_default_mesh(tmp_path):
     """Vertices 3 mm apart: light contacts look flat, and curvatures change with depth. Curvatures
     of the egg are 1/16 and 16/20^2 per mm."""
-    scenario = Scenario(seed=1, effects="-images", contact_shapes=True)
+    (tmp_path / "quick.py").write_text(controller_text(hold=0.3))
+    scenario = Scenario(
+        seed=1, effects="-images", contact_shapes=True, controller=str(tmp_path / "quick.py")
+    )
     result = run_grasp(scenario, [], workers=0)
     assert result.outcome == "held"
     for contact in result.contacts:

@@ -3,8 +3,18 @@
 import inspect
 import sys
 import types
+from pathlib import Path
 
 import pytest
+
+FOLDER = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(items):
+    """Run all tests here in one worker: each worker would compile the same kernels for a minute."""
+    for item in items:
+        if item.path.is_relative_to(FOLDER):
+            item.add_marker(pytest.mark.xdist_group("Warp"))
 
 
 class _Warp:

@@ -9,6 +9,7 @@ from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
 from mjtactile.recording.observer import Observer
 from mjtactile.runtime.grasp import run_grasp
+from tests.emulated_host import controller_text
 
 PAD = '<geom name="pad" type="box" pos="{x} 0 0" size="0.004 0.011 0.009" mass="0"/>'
 
@@ -29,8 +30,7 @@ def test_a_pad_behind_the_membrane_is_named_in_the_flags_of_the_grasp(tmp_path):
     rig = (models / "rigs" / "sim.toml").read_text(encoding="utf-8")
     rig = rig.replace("../grippers/two_finger.xml", "padded.xml")
     (tmp_path / "padded.toml").write_text(rig, encoding="utf-8")
-    controller = (resources.folder("controllers") / "gentle.py").read_text(encoding="utf-8")
-    hard = controller.replace("TARGET_FORCE = 0.6", "TARGET_FORCE = 2.5")
+    hard = controller_text(hold=0.1).replace("TARGET_FORCE = 0.6", "TARGET_FORCE = 2.5")
     (tmp_path / "hard.py").write_text(hard, encoding="utf-8")
     watching = _Session()
     scenario = Scenario(
