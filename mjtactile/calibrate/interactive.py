@@ -66,8 +66,11 @@ def collect_views(
         if (
             view is not None
             and before is not None
-            and _moved(view, before) < _STILL_PX
-            and all(_moved(view, other) > _NEW_VIEW_FRACTION * gray.shape[1] for other in taken)
+            and _largest_movement(view, before) < _STILL_PX
+            and all(
+                _largest_movement(view, other) > _NEW_VIEW_FRACTION * gray.shape[1]
+                for other in taken
+            )
         ):
             taken.append(view)
             notify(
@@ -92,7 +95,7 @@ def camera_images(camera: OpenCvCamera, seconds: float) -> Iterator[tuple[str, N
             yield f"picture {index}", image.pixels
 
 
-def _moved(view: BoardView, other: BoardView) -> float:
+def _largest_movement(view: BoardView, other: BoardView) -> float:
     """Return the largest movement, px, of the corners common to both views; infinite without
     any."""
     shared, a, b = np.intersect1d(view.ids, other.ids, return_indices=True)

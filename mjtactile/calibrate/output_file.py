@@ -53,7 +53,7 @@ def find_targets(
     options of `mjtactile calibrate`.
     """
     if rig is None:
-        targets = [_at(out, finger or FINGERS[0], load_sensor(sensor))]
+        targets = [_output_file(out, finger or FINGERS[0], load_sensor(sensor))]
     else:
         rig_file = load_rig_file(rig)
         targets = [
@@ -90,7 +90,7 @@ def _target(
 ) -> OutputFile:
     design = finger_design(camera, default)
     if out is not None:
-        return _at(out, camera.finger, design)
+        return _output_file(out, camera.finger, design)
     path = camera.calibration or design.calibration
     if path is None:
         index = rig_file.cameras.index(camera)
@@ -103,7 +103,7 @@ def _target(
     return OutputFile(camera.finger, path, design)
 
 
-def _at(out: Path | None, finger: str, design: SensorDesign) -> OutputFile:
+def _output_file(out: Path | None, finger: str, design: SensorDesign) -> OutputFile:
     if out is None:
         raise InputError(
             "the calibration needs a target: add --rig FILE.toml with --finger, or --out FILE.json",

@@ -146,7 +146,7 @@ def run(options: argparse.Namespace) -> int:
                     design,
                     options.force_N,
                     requirements,
-                    given=_given(options),
+                    given=_given_hardware(options),
                     count=options.count,
                     seed=options.seed,
                     check=options.check,
@@ -194,7 +194,7 @@ def _base_sensor(options: argparse.Namespace) -> SensorDesign:
     return design if is_search else sensor_file_edit.rebuilt(design)
 
 
-def _given(options: argparse.Namespace) -> Any:
+def _given_hardware(options: argparse.Namespace) -> Any:
     from mjtactile.design_study.given_hardware import GivenHardware
 
     lens = options.lens is not None or options.fov_deg is not None

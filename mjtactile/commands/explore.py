@@ -124,11 +124,11 @@ RULES = (
 def run(options: argparse.Namespace) -> int:
     _check(options)
     if options.resume:
-        return _in(options, options.out)
+        return _explore(options, options.out)
     if options.out is None:
-        return _in(options, None)
+        return _explore(options, None)
     with output_folder(options.out, *_RESULTS, _TOUCHED, "recording") as out:
-        return _in(options, out)
+        return _explore(options, out)
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -139,7 +139,7 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError(f"this option requires --out DIR with {_TOUCHED} in it", field="--resume")
 
 
-def _in(options: argparse.Namespace, out: Path | None) -> int:
+def _explore(options: argparse.Namespace, out: Path | None) -> int:
     progress = Progress(quiet=options.json)
     with stdout_to_stderr():
         requested = scenario.scenario_of(options, _DEFAULT)

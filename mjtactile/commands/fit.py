@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out.suffix != ".toml":
         raise InputError("the name does not end in .toml", source=options.out, field="--out")
-    known = dict(_known(text) for text in options.fix)
+    known = dict(_known_value(text) for text in options.fix)
     files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
     for path in (options.out, *files.values()):
         require_new(path)
@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _known(text: str) -> tuple[str, float]:
+def _known_value(text: str) -> tuple[str, float]:
     field, _, parsed = text.partition("=")
     try:
         value = float(parsed)

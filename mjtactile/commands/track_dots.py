@@ -31,7 +31,7 @@ _ZOOM = 3  # magnification of the image of the tracks
 
 def run(options: argparse.Namespace) -> int:
     """Track the circles, and write or print the results."""
-    camera, radius = _known(options)
+    camera, radius = _camera_and_radius(options)
     progress = Progress(quiet=options.json)
     with optional_folder(options.out, "tracks.csv", "tracks.png", "reconstruct.json") as out:
         with stdout_to_stderr():
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _known(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
+def _camera_and_radius(options: argparse.Namespace) -> tuple[Camera | None, float | None]:
     if (options.camera is None) != (options.radius_mm is None):
         raise InputError(
             "--camera and --radius-mm must be given together; without both, tracks are in pixels",

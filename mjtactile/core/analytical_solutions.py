@@ -40,7 +40,7 @@ _C2 = (
 )
 
 
-def _between(x: ArrayLike, y: ArrayLike, at: float) -> Array:
+def _monotone_cubic(x: ArrayLike, y: ArrayLike, at: float) -> Array:
     """Monotone cubic interpolation along the first axis of `y` (Fritsch and Butland 1984). It is
     scipy's `pchip`, whose import takes a tenth of a second."""
     x = np.asarray(x, dtype=float)
@@ -95,8 +95,8 @@ def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]
     if aspect in _ASPECT:
         c2 = np.interp(poisson, _POISSON, table[_ASPECT.index(aspect)])
     else:
-        c2 = _between(_ASPECT, _between(_POISSON, table.T, poisson), aspect)
-    return float(_between(_ASPECT, _C1, aspect)), float(c2)
+        c2 = _monotone_cubic(_ASPECT, _monotone_cubic(_POISSON, table.T, poisson), aspect)
+    return float(_monotone_cubic(_ASPECT, _C1, aspect)), float(c2)
 
 
 def bulge_height(design: SensorDesign, gauge_pressure: float) -> float:
@@ -185,8 +185,8 @@ def _ellipse_cubic(aspect: float, poisson: float) -> float:
     inside = _ELLIPSE_POISSON[0] <= poisson <= _ELLIPSE_POISSON[-1]
     if not inside or aspect > _ELLIPSE_ASPECT[-1]:
         return np.nan
-    by_poisson = _between(list(_ELLIPSE_POISSON), np.array(_ELLIPSE_C2).T, poisson)
-    return float(_between(list(_ELLIPSE_ASPECT), by_poisson, aspect))
+    by_poisson = _monotone_cubic(list(_ELLIPSE_POISSON), np.array(_ELLIPSE_C2).T, poisson)
+    return float(_monotone_cubic(list(_ELLIPSE_ASPECT), by_poisson, aspect))
 
 
 MEAN_STRETCH = 0.6
@@ -213,7 +213,7 @@ series)."""
 
 def hencky_factor(poisson: float) -> float:
     """w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
-    return float(_between(list(HENCKY), list(HENCKY.values()), poisson))
+    return float(_monotone_cubic(list(HENCKY), list(HENCKY.values()), poisson))
 
 
 def stvk_height_error(design: SensorDesign, gauge_pressure: float) -> float:

@@ -89,10 +89,10 @@ def _copy(value: Any, budget: _SizeBudget, depth: int) -> Any:
     if isinstance(value, (list, tuple)):
         budget.has(len(value))
         return [_copy(item, budget, depth + 1) for item in value]
-    return _one(value, budget)
+    return _plain_scalar(value, budget)
 
 
-def _one(value: Any, budget: _SizeBudget) -> Any:
+def _plain_scalar(value: Any, budget: _SizeBudget) -> Any:
     """Return a number or string as a plain type. An Enum loses its type, which other processes
     lack."""
     budget.spend(1 + len(value) if isinstance(value, str) else 1)

@@ -144,12 +144,12 @@ class Fiducials:
                 f"circles {distances.min() / MM:.3g} mm apart leave no white ground between them"
             )
             raise section.fail("fiducials.positions_mm", message)
-        for circle, why in zip(self.places, self._wrong(design), strict=True):
+        for circle, why in zip(self.places, self._position_errors(design), strict=True):
             if why:
                 message = f"[{circle[0] / MM:g}, {circle[1] / MM:g}] {why}"
                 raise section.fail("fiducials.positions_mm", message)
 
-    def _wrong(self, design: SensorDesign) -> list[str]:
+    def _position_errors(self, design: SensorDesign) -> list[str]:
         """Return the error of each position; "" if it is valid."""
         half = np.array([design.frame.length, design.frame.width]) / 2
         extent = self.radius + self.ground

@@ -136,7 +136,7 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
     if values.shape != (3,):
         text = f"shape {values.shape} does not match (3,)"
         raise InputError(text, source="command_from_action", field="action")
-    rate, limit, lift = (_within_one(value) for value in values.tolist())
+    rate, limit, lift = (_clip_to_one(value) for value in values.tolist())
     last = observation.command
     period = observation.period
     gripper = observation.gripper
@@ -191,7 +191,7 @@ def action_from_commands(before: Command, after: Command, period: float) -> Arra
     )
 
 
-def _within_one(value: float) -> float:
+def _clip_to_one(value: float) -> float:
     return 0.0 if math.isnan(value) else min(max(value, -1.0), 1.0)
 
 

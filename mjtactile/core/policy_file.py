@@ -246,20 +246,20 @@ def _check_layers(layers: _Layers, source: Any) -> None:
     inputs = first[1] if len(first) == 2 else 0
     if inputs not in _SIZES:
         is_turned = len(first) == 2 and first[0] in _SIZES
-        text = f"weights {first} have {inputs} inputs{_turned(is_turned)}"
+        text = f"weights {first} have {inputs} inputs{_transposed_hint(is_turned)}"
         choices = [f"{size} for {n} finger{'s' if n > 1 else ''}" for size, n in _SIZES.items()]
         raise InputError(text, source=source, field="layers[0]", choices=choices[:3])
     for k, (w, b) in enumerate(layers):
         outputs = OUTPUTS if k == len(layers) - 1 else b.size
         if w.shape != (outputs, inputs) or b.shape != (outputs,):
-            hint = _turned(w.shape == (inputs, outputs))
+            hint = _transposed_hint(w.shape == (inputs, outputs))
             text = f"weights {w.shape} and biases {b.shape} do not match{hint}"
             choices = [f"weights ({outputs}, {inputs}) and biases ({outputs},)"]
             raise InputError(text, source=source, field=f"layers[{k}]", choices=choices)
         inputs = outputs
 
 
-def _turned(is_turned: bool) -> str:
+def _transposed_hint(is_turned: bool) -> str:
     return "; the weights are transposed" if is_turned else ""
 
 

@@ -19,16 +19,16 @@ from types import FrameType
 from mjtactile.core.errors import Interrupted
 
 
-def _found(*names: str) -> tuple[signal.Signals, ...]:
+def _existing_signals(*names: str) -> tuple[signal.Signals, ...]:
     """Return the signals that exist on this system; no system has all."""
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
-URGENT = _found("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+URGENT = _existing_signals("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 """Signals that a user may send again to skip the orderly end."""
 OTHERS = (
-    *_found("SIGABRT", "SIGALRM", "SIGVTALRM", "SIGPROF", "SIGUSR1", "SIGUSR2"),
-    *_found("SIGXCPU", "SIGPOLL", "SIGPWR", "SIGSTKFLT"),
+    *_existing_signals("SIGABRT", "SIGALRM", "SIGVTALRM", "SIGPROF", "SIGUSR1", "SIGUSR2"),
+    *_existing_signals("SIGXCPU", "SIGPOLL", "SIGPWR", "SIGSTKFLT"),
     *range(getattr(signal, "SIGRTMIN", 0), getattr(signal, "SIGRTMAX", -1) + 1),
 )
 """Further signals that end a process which does not handle them.

@@ -148,7 +148,7 @@ class Task:
         values: dict[str, float] = {}
         for number_, disturbance in enumerate(self.disturbances, 1):
             sampled = {
-                name: _at(span, _fraction(seed, f"{number_}.{_STREAMS.get(name, name)}"))
+                name: _linear(span, _fraction(seed, f"{number_}.{_STREAMS.get(name, name)}"))
                 for name, span in disturbance.sampled_ranges().items()
             }
             values |= {
@@ -171,7 +171,7 @@ class Task:
                 )
 
         def at(name: str, span: Range) -> float:
-            value = _at(span, _fraction(seed, name))
+            value = _linear(span, _fraction(seed, name))
             number_, _, field = name.removeprefix("waypoint").partition(".")
             key = f"task.waypoint{number_}.{_key(Waypoint, field)}"
             values[key] = _written(Waypoint, field, value)
@@ -195,15 +195,15 @@ class Task:
     ) -> SampledTask:
         spans = self.object
         breaking = (
-            None if spans.breaking is None else _at(spans.breaking, _fraction(seed, "breaking"))
+            None if spans.breaking is None else _linear(spans.breaking, _fraction(seed, "breaking"))
         )
-        liquid = None if spans.liquid is None else _at(spans.liquid, _fraction(seed, "liquid"))
-        path = self._path(lambda name, span: _at(span, _fraction(seed, name)))
+        liquid = None if spans.liquid is None else _linear(spans.liquid, _fraction(seed, "liquid"))
+        path = self._path(lambda name, span: _linear(span, _fraction(seed, name)))
         attempt = 0
         while True:
             fractions = [_fraction(seed, f"{name}.{attempt}") for name in ("mass", "friction")]
             mass = None if spans.mass is None else _logarithmic(spans.mass, fractions[0])
-            friction = None if spans.friction is None else _at(spans.friction, fractions[1])
+            friction = None if spans.friction is None else _linear(spans.friction, fractions[1])
             sampled = SampledTask(mass, friction, breaking, events, {}, liquid, path)
             attempt += 1
             if mass is None or friction is None or attempt > _ATTEMPTS:
@@ -250,7 +250,7 @@ def _fraction(seed: int, name: str) -> float:
     return float(np.random.default_rng([seed, zlib.crc32(f"task.{name}".encode())]).random())
 
 
-def _at(span: Range, fraction: float) -> float:
+def _linear(span: Range, fraction: float) -> float:
     return span[0] + fraction * (span[1] - span[0])
 
 

@@ -129,7 +129,9 @@ class Section:
 
     def fail(self, key: str, message: str, choices: Iterable[object] | None = None) -> InputError:
         """The error to raise for field `key`."""
-        return InputError(message, source=self._source, field=self._place(key), choices=choices)
+        return InputError(
+            message, source=self._source, field=self._field_path(key), choices=choices
+        )
 
     def number(
         self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...
@@ -238,7 +240,9 @@ class Section:
         if choices is None or value in (choices := list(choices)):
             return value
         if (renamed := VALUES.get(key, {}).get(value)) in choices:
-            _logger.warning("%s: %s: %r is now %r", self._source, self._place(key), value, renamed)
+            _logger.warning(
+                "%s: %s: %r is now %r", self._source, self._field_path(key), value, renamed
+            )
             return renamed
         raise self.fail(key, f"{value!r} is unknown", choices)
 
@@ -280,7 +284,7 @@ class Section:
         """The table `[key]`."""
         if (found := self.optional(key)) is None:
             message = f"missing section{self._similar_unread(key)}"
-            raise InputError(message, source=self._source, field=f"[{self._place(key)}]")
+            raise InputError(message, source=self._source, field=f"[{self._field_path(key)}]")
         return found
 
     def optional(self, key: str) -> Section | None:
@@ -289,19 +293,20 @@ class Section:
         if value is None:
             return None
         if not isinstance(value, Mapping):
-            raise self.fail(key, f"is not a section; write [{self._place(key)}]")
-        return Section(value, self._place(key), self._source)
+            raise self.fail(key, f"is not a section; write [{self._field_path(key)}]")
+        return Section(value, self._field_path(key), self._source)
 
     def sections(self, key: str, low: int = 1, high: int = 2) -> list[Section]:
         """The tables `[[key]]`, `low` to `high` of them."""
         value = self._get(key, None if low == 0 else ...)
         value = [] if value is None else value
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
-            raise self.fail(key, f"is not a list of sections; write [[{self._place(key)}]]")
+            raise self.fail(key, f"is not a list of sections; write [[{self._field_path(key)}]]")
         if not low <= len(value) <= high:
             raise self.fail(key, f"has {len(value)} sections, expected {low} to {high}")
         return [
-            Section(item, f"{self._place(key)}[{i}]", self._source) for i, item in enumerate(value)
+            Section(item, f"{self._field_path(key)}[{i}]", self._source)
+            for i, item in enumerate(value)
         ]
 
     def done(self) -> None:
@@ -322,7 +327,7 @@ class Section:
         near = difflib.get_close_matches(key, self._known, 1)
         return f", did you mean {near[0]!r}?" if near else ""
 
-    def _place(self, key: str) -> str:
+    def _field_path(self, key: str) -> str:
         return f"{self._label}.{key}" if self._label else key
 
     def _get(self, key: str, default: Any) -> Any:

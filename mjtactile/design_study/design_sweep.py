@@ -185,7 +185,7 @@ def made_of(design: SensorDesign, values: Array, given: GivenHardware = ALL_FREE
     # the outermost circle edges keep _EDGE from the frame: extent + 2 share pitch = side - 2 edge
     spans = np.array([frame.length, frame.width]) - 2 * _EDGE
     if given.lens and given.focus:
-        spans = np.minimum(spans, 2 * covered * _seen(design))
+        spans = np.minimum(spans, 2 * covered * _visible_half_sizes(design))
     columns, rows = (max(3, round(1e3 * density * (span + 2 * _EDGE))) for span in spans)
     extent = tuple(
         span * (many - 1) / (many - 1 + 2 * fraction)
@@ -220,10 +220,10 @@ def longest_lens(design: SensorDesign) -> float:
     """Return the maximum lens factor, with all flat markers in the image."""
     markers = design.markers
     resolution = np.abs(markers.p_SM[:, :2]).max(axis=0) + markers.radius
-    return float((_seen(design) / resolution).min())
+    return float((_visible_half_sizes(design) / resolution).min())
 
 
-def _seen(design: SensorDesign) -> Array:
+def _visible_half_sizes(design: SensorDesign) -> Array:
     """Return the half sizes (2,), m, of the flat membrane's part in the image, centered on the
     axis."""
     camera = design.camera

@@ -170,7 +170,7 @@ class ControlTable:
         row = _MODELS[model]
         self.size = row.size
         self.volts = row.volts
-        own = _own(row)
+        own = _model_values(row)
         fields = [replace(field, **own.get(field.name, {})) for field in _FIELDS]
         if row.slope is not None:
             fields.append(TableEntry(62, 1, "PWM Slope", row.slope, 1, 255))
@@ -194,7 +194,7 @@ class ControlTable:
         )
 
 
-def _own(row: _Model) -> dict[str, dict[str, object]]:
+def _model_values(row: _Model) -> dict[str, dict[str, object]]:
     """Return the model's values that replace those of the common fields."""
     volts: dict[str, object] = {"low": row.volt_low, "high": row.volt_max}
     velocity_max = 2047 if row.size == 330 else 1023

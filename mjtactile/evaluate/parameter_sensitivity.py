@@ -63,7 +63,7 @@ def against(lines: Sequence[Line], everybody: Sequence[Line] = ()) -> list[dict[
     found: list[dict[str, Any]] = []
     for name in names:
         pairs = [(row[name], line) for row, line in zip(table, ended, strict=True) if name in row]
-        one = _one(name, pairs, [row[name] for row in pool if name in row])
+        one = _parameter_row(name, pairs, [row[name] for row in pool if name in row])
         if len(one["bins"]) > 1:
             found.append(one)
     tested = sum(one["p"] is not None for one in found)
@@ -79,7 +79,7 @@ def _rank(row: Mapping[str, Any]) -> tuple[float, float]:
     return chance, -strongest
 
 
-def _one(
+def _parameter_row(
     name: str, pairs: Sequence[tuple[float | str, Line]], pool: Sequence[float | str]
 ) -> dict[str, Any]:
     values = [value for value, _ in pairs]

@@ -91,7 +91,7 @@ class Store:
             message = "already holds an evaluation; --resume continues it"
             raise InputError(message, source=folder, field="--out")
         if foreign_file.exists(known):
-            _same(known, evaluation)
+            _require_same(known, evaluation)
             self.lines = read_lines(folder)
             _keep_damaged(folder / EPISODES, self.lines)
         else:
@@ -200,7 +200,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _same(path: Path, evaluation: Mapping[str, Any]) -> None:
+def _require_same(path: Path, evaluation: Mapping[str, Any]) -> None:
     before = read_manifest(path.parent)
     now = json.loads(json.dumps(evaluation))
     old_count, count = (each.get("options", {}).get("count", 0) for each in (before, now))
@@ -227,10 +227,10 @@ def _differing(before: Any, now: Any, name: str) -> Iterator[str]:
         for key in dict.fromkeys((*before, *now)):
             yield from _differing(before.get(key), now.get(key), f"{name}.{key}" if name else key)
     else:
-        yield f"{name} {_shown(before)}, now {_shown(now)}".strip()
+        yield f"{name} {_shortened(before)}, now {_shortened(now)}".strip()
 
 
-def _shown(value: Any) -> str:
+def _shortened(value: Any) -> str:
     if value is None:
         return "none"
     text = value if isinstance(value, str) else json.dumps(value)

@@ -31,13 +31,13 @@ def mesh_of(surface: SurfacePosterior, edge: float = 1e-3) -> Mesh:
     axes = [low[k] + edge * np.arange(counts[k]) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     outside = surface.distance(grid)
-    inside = _between(outside.tolist(), counts.tolist(), low.tolist(), edge)
+    inside = _depth_function(outside.tolist(), counts.tolist(), low.tolist(), edge)
     bounds = [*(low + edge), *(high - edge)]
     found = Manifold.level_set(inside, bounds, edge).to_mesh()
     return with_uncertainty(surface, np.array(found.vert_properties[:, :3], float), found.tri_verts)
 
 
-def _between(
+def _depth_function(
     outside: list[float], counts: list[int], low: list[float], edge: float
 ) -> Callable[[float, float, float], float]:
     """Return a function for the depth inside the surface, interpolated between grid nodes. It uses

@@ -141,14 +141,19 @@ def _heights(shape: ContactShape, x: Array, y: Array) -> tuple[Array, Array]:
     angle = shape.direction if math.isfinite(shape.direction) else 0.0
     c, s = math.cos(angle), math.sin(angle)
     along, across = c * x + s * y, c * y - s * x
-    z = plane[0] * x + plane[1] * y + _bent(minimum, along) + _bent(maximum, across)
+    z = (
+        plane[0] * x
+        + plane[1] * y
+        + _circle_height(minimum, along)
+        + _circle_height(maximum, across)
+    )
     center_along, center_across = along.mean(), across.mean()
     slope_x = minimum * center_along * c - maximum * center_across * s
     slope_y = minimum * center_along * s + maximum * center_across * c
     return z, plane + np.array([slope_x, slope_y])
 
 
-def _bent(curvature: float, distance: Array) -> Array:
+def _circle_height(curvature: float, distance: Array) -> Array:
     """Return the height of a circle over its lowest point. The horizontal distance is limited to
     0.8 of the radius, so that the rise stays below half of it."""
     if abs(curvature) < 1e-3:

@@ -74,15 +74,15 @@ class Patch:
             np.array(values["normal"], float),
             str(values["kind"]),
             float(values["force"]),
-            _known(values["compliance"]),
-            _known(values["compliance_sd"]),
+            _nan_if_none(values["compliance"]),
+            _nan_if_none(values["compliance_sd"]),
             (height, tilt, curvature, alone),
             int(values.get("group", 0)),
             float(values.get("loose", 0.0)),
         )
 
 
-def _known(value: float | None) -> float:
+def _nan_if_none(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 

@@ -123,7 +123,7 @@ class RecordedEpisode:
         words = "grasp an unknown object" if name.startswith("random:") else f"grasp the {name}"
         scenario = header.get("scenario")
         task = scenario.get("task") if isinstance(scenario, Mapping) else None
-        return words if task in (None, _PLAIN_TASK) else f"{words}: {_about(task)}"
+        return words if task in (None, _PLAIN_TASK) else f"{words}: {_task_description(task)}"
 
     @property
     def outcome(self) -> str:
@@ -377,7 +377,7 @@ def meanings() -> dict[str, dict[str, str]]:
     }
 
 
-def _about(task: str) -> str:
+def _task_description(task: str) -> str:
     """Return the description of a task, or its name if its file is gone."""
     try:
         return load_task(task).about

@@ -174,21 +174,21 @@ class _Bag:
             if item.kind == "cycle":
                 yield messages.Message("/command", "command", item.time, "", item.value)
 
-    def _of(self, kind: str, /, **values: Any) -> Any:
+    def _message(self, kind: str, /, **values: Any) -> Any:
         return self._store.types[kind](**values)
 
     def _header(self, item: messages.Message, frame: str | None = None) -> Any:
         sec, nanosec = divmod(messages.nanoseconds(item.time), 10**9)
-        return self._of(
+        return self._message(
             "std_msgs/msg/Header",
-            stamp=self._of("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
+            stamp=self._message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec),
             frame_id=item.frame if frame is None else frame,
         )
 
     def _image(self, item: messages.Message) -> Any:
         pixels = item.value[0].pixels
         height, width = pixels.shape
-        return self._of(
+        return self._message(
             "sensor_msgs/msg/Image",
             header=self._header(item),
             height=height,
@@ -202,8 +202,8 @@ class _Bag:
     def _camera(self, item: messages.Message) -> Any:
         c = item.value
         size = dict.fromkeys(("x_offset", "y_offset", "height", "width"), 0)
-        full_image = self._of("sensor_msgs/msg/RegionOfInterest", **size, do_rectify=False)
-        return self._of(
+        full_image = self._message("sensor_msgs/msg/RegionOfInterest", **size, do_rectify=False)
+        return self._message(
             "sensor_msgs/msg/CameraInfo",
             header=self._header(item),
             height=c.height,
@@ -220,12 +220,14 @@ class _Bag:
 
     def _vector(self, values: Any) -> Any:
         x, y, z = map(float, values)
-        return self._of("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+        return self._message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
     def _wrench(self, item: messages.Message) -> Any:
         force, torque = self._vector(item.value[:3]), self._vector(item.value[3:])
-        wrench = self._of("geometry_msgs/msg/Wrench", force=force, torque=torque)
-        return self._of("geometry_msgs/msg/WrenchStamped", header=self._header(item), wrench=wrench)
+        wrench = self._message("geometry_msgs/msg/Wrench", force=force, torque=torque)
+        return self._message(
+            "geometry_msgs/msg/WrenchStamped", header=self._header(item), wrench=wrench
+        )
 
     def _touch(self, item: messages.Message) -> Any:
         name = f"{PACKAGE}/msg/Touch"
@@ -234,16 +236,18 @@ class _Bag:
             for field, kind in self._store.fielddefs[name][1]
             if field != "header"
         }
-        return self._of(name, header=self._header(item), **values)
+        return self._message(name, header=self._header(item), **values)
 
     def _cloud(self, item: messages.Message) -> Any:
         cloud: messages.Cloud = item.value
         fields = [
-            self._of("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
+            self._message(
+                "sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1
+            )
             for k, name in enumerate(cloud.names)
         ]
         data = np.ascontiguousarray(cloud.values, "<f4")
-        return self._of(
+        return self._message(
             "sensor_msgs/msg/PointCloud2",
             header=self._header(item),
             height=1,
@@ -260,28 +264,28 @@ class _Bag:
         states = np.ascontiguousarray(np.array(list(item.value.values()), float).T)
         values = dict(zip(("position", "velocity", "effort"), states, strict=True))
         head = {"header": self._header(item), "name": list(item.value)}
-        return self._of("sensor_msgs/msg/JointState", **head, **values)
+        return self._message("sensor_msgs/msg/JointState", **head, **values)
 
     def _frames(self, item: messages.Message) -> Any:
         transforms = []
         for t in item.value:
             x, y, z, w = map(float, messages.quaternion(t.R))
-            rotation = self._of("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+            rotation = self._message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
             pose = {"translation": self._vector(t.p), "rotation": rotation}
-            transform = self._of("geometry_msgs/msg/Transform", **pose)
+            transform = self._message("geometry_msgs/msg/Transform", **pose)
             frames = {"header": self._header(item, t.parent), "child_frame_id": t.child}
             stamped = "geometry_msgs/msg/TransformStamped"
-            transforms.append(self._of(stamped, **frames, transform=transform))
-        return self._of("tf2_msgs/msg/TFMessage", transforms=transforms)
+            transforms.append(self._message(stamped, **frames, transform=transform))
+        return self._message("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def _command(self, item: messages.Message) -> Any:
         row: Mapping[str, Any] = item.value
         values = {name: float(row.get(entry.column, np.nan)) for name, entry in _GOALS.items()}
         head = {"header": self._header(item), "phase": str(row["phase"])}
-        return self._of(f"{PACKAGE}/msg/Command", **head, **values)
+        return self._message(f"{PACKAGE}/msg/Command", **head, **values)
 
     def _line(self, item: messages.Message) -> Any:
-        return self._of("std_msgs/msg/String", data=json.dumps(to_json(item.value)))
+        return self._message("std_msgs/msg/String", data=json.dumps(to_json(item.value)))
 
 
 def _value(value: Any, field: str, kind: Any) -> Any:

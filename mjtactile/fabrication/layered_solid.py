@@ -251,7 +251,7 @@ def crossing(part: Part) -> tuple[Contour, Contour] | None:
     ]
     for here, there in pairwise([*contours, []]):
         for first, other in combinations(dict.fromkeys([*here, *there]), 2):
-            if not _near(first, other):
+            if not _may_touch(first, other):
                 continue
             of_one = [other.distance(x, y) for x, y in first.polygon(8)]
             of_other = [first.distance(x, y) for x, y in other.polygon(8)]
@@ -261,7 +261,7 @@ def crossing(part: Part) -> tuple[Contour, Contour] | None:
     return None
 
 
-def _near(contour: Contour, other: Contour) -> bool:
+def _may_touch(contour: Contour, other: Contour) -> bool:
     return (
         abs(contour.x - other.x) < contour.hx + other.hx + _GAP
         and abs(contour.y - other.y) < contour.hy + other.hy + _GAP

@@ -215,7 +215,12 @@ class _Problem:
         cov = self._covariance(found)[:n, :n] * np.outer(slopes, slopes)  # pyright: ignore[reportPossiblyUnboundVariable]
         noise, _ = self._errors(x)
         return GasFit(
-            values, cov, self.names, tuple(noise), tuple(self.runs), tuple(self._moved(x))
+            values,
+            cov,
+            self.names,
+            tuple(noise),
+            tuple(self.runs),
+            tuple(self._shifted_pressures(x)),
         )
 
     def _errors(self, x: Array) -> tuple[list[float], Array]:
@@ -225,7 +230,7 @@ class _Problem:
         """
         noise = []
         sds = []
-        for pressure, run in zip(self._moved(x), self.runs, strict=True):
+        for pressure, run in zip(self._shifted_pressures(x), self.runs, strict=True):
             left = pressure - run.pressure
             noise.append(_noise(left))
             sd = noise[-1] * math.sqrt(_correlated_count(_limited(left / noise[-1])))
@@ -240,7 +245,7 @@ class _Problem:
         _, sd = self._errors(found.x)
         jacobian = found.jacobian.copy()
         jacobian[: len(sd)] *= (self._sd / sd)[:, None]
-        left = np.concatenate(self._moved(found.x)) - np.concatenate(
+        left = np.concatenate(self._shifted_pressures(found.x)) - np.concatenate(
             [run.pressure for run in self.runs]
         )
         parts = np.split(left, self._ends[:-1])
@@ -264,7 +269,7 @@ class _Problem:
             ]
         return self._known[key]
 
-    def _moved(self, x: Array) -> list[Array]:
+    def _shifted_pressures(self, x: Array) -> list[Array]:
         """Pressures with the modes' parts."""
         moved = np.concatenate(self.pressures(x)) + x[len(self.names) :] @ self._modes
         return np.split(moved, self._ends[:-1])
@@ -272,7 +277,7 @@ class _Problem:
     def residuals(self, x: Array) -> Array:
         """Return the residuals in sd, with Huber weights."""
         n = len(self.names)
-        runs = zip(self._moved(x), self.runs, self._noise, strict=True)
+        runs = zip(self._shifted_pressures(x), self.runs, self._noise, strict=True)
         z = np.concatenate([_limited((p - run.pressure) / noise) for p, run, noise in runs])
         noise = np.repeat(self._noise, np.diff(self._ends, prepend=0))
         return np.concatenate([z * noise / self._sd, PRIOR * x[:n], x[n:]])
@@ -292,7 +297,7 @@ class _Problem:
             columns.append((np.concatenate(self.pressures(moved)) - pressures) / scale.step)
         noise = np.repeat(self._noise, np.diff(self._ends, prepend=0))
         recorded = np.concatenate([run.pressure for run in self.runs])
-        size = np.abs(_limited((np.concatenate(self._moved(x)) - recorded) / noise))
+        size = np.abs(_limited((np.concatenate(self._shifted_pressures(x)) - recorded) / noise))
         slope = np.where(size < _OUTLIER, 1.0, _OUTLIER / np.maximum(size, _OUTLIER))
         rows = (slope / self._sd)[:, None] * np.column_stack([*columns, self._modes.T])
         priors = np.diag([PRIOR] * n + [1.0] * len(self._modes))

@@ -326,10 +326,11 @@ class _Problem:
 
     def _discretization(self, x: Array) -> Array:
         """Return the change of the residuals with an infinitely fine mesh, (r,)."""
-        design = self.made(x)
+        design = self.design_at(x)
         finer, factor = finer_mesh(self.options.mesh or default_mesh(design))
         changes = [
-            self._of(i, simulate(design, e, self.offset(i, x), finer)) - self._of(i, holds)
+            self._residuals(i, simulate(design, e, self.offset(i, x), finer))
+            - self._residuals(i, holds)
             for i, (e, holds) in enumerate(zip(self.evidence, self._all(x), strict=True))
         ]
         return factor * np.concatenate(changes)
@@ -338,7 +339,7 @@ class _Problem:
         nominal = getattr(self.design.membrane, name)
         return SCALES[name].value(float(x[self.names.index(name)]), nominal)
 
-    def made(self, x: Array) -> SensorDesign:
+    def design_at(self, x: Array) -> SensorDesign:
         values = {name: self.value(name, x) for name in self.names}
         return replace(self.design, membrane=replace(self.design.membrane, **values))
 
@@ -350,12 +351,12 @@ class _Problem:
 
     def simulate(self, index: int, x: Array) -> tuple[Simulated, ...]:
         return simulate(
-            self.made(x), self.evidence[index], self.offset(index, x), self.options.mesh
+            self.design_at(x), self.evidence[index], self.offset(index, x), self.options.mesh
         )
 
     def residuals(self, x: Array) -> Array:
         n = self._counts[0]
-        found = [self._of(i, holds) for i, holds in enumerate(self._all(x))]
+        found = [self._residuals(i, holds) for i, holds in enumerate(self._all(x))]
         left = np.concatenate(found) - self._common @ x[n + self._counts[1] :]
         self.options.notify(
             f"membrane: {', '.join(f'{n} {self.value(n, x):.4g}' for n in self.names)}; "
@@ -364,7 +365,7 @@ class _Problem:
         return np.concatenate([left, PRIOR * x[:n], x[n:]])
 
     def jacobian(self, x: Array, _: Array) -> Array:
-        base = [self._of(i, holds) for i, holds in enumerate(self._all(x))]
+        base = [self._residuals(i, holds) for i, holds in enumerate(self._all(x))]
         columns = []
         n, m, k = self._counts
         for column in range(n + m):
@@ -374,7 +375,7 @@ class _Problem:
             parts = [np.zeros_like(part) for part in base]
             for i in range(len(self.evidence)):
                 if self._depends(column, i):
-                    parts[i] = (self._of(i, self.simulate(i, moved)) - base[i]) / step
+                    parts[i] = (self._residuals(i, self.simulate(i, moved)) - base[i]) / step
             columns.append(np.concatenate(parts))
         return np.vstack(
             [np.column_stack([*columns, -self._common]), np.diag([PRIOR] * n + [1.0] * (m + k))]
@@ -386,7 +387,7 @@ class _Problem:
             self._last = x[:n].copy(), [self.simulate(i, x) for i in range(len(self.evidence))]
         return self._last[1]
 
-    def _of(self, index: int, holds: Sequence[Simulated]) -> Array:
+    def _residuals(self, index: int, holds: Sequence[Simulated]) -> Array:
         """Simulated less measured markers of a recording, whitened, and forces of a load cell."""
         e = self.evidence[index]
         parts = []
@@ -445,7 +446,7 @@ class _Problem:
             values,
             cov,
             names,
-            self.made(found.x),
+            self.design_at(found.x),
             tuple(self._all(found.x)),
             self._rms(self._all(found.x)),
             tuple(self.offset(i, found.x) for i in range(len(self.evidence))),

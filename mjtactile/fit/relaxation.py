@@ -186,7 +186,7 @@ class _Memories:
         shown = np.array(
             [unfaded for unfaded, free in zip(self._unfaded, self.free, strict=True) if free]
         )
-        bulge = self._at_markers(self._inverse.membrane.state(self._rest.c).gradient)
+        bulge = self._marker_displacement(self._inverse.membrane.state(self._rest.c).gradient)
         markers = self._markers[self.free].reshape(len(shown), -1)
         moved = (self.pressure[self.free] - self._gauge)[:, None] * bulge
         return shown, markers - moved
@@ -215,9 +215,9 @@ class _Memories:
             self._inverse.membrane.forces_of(c, self._stress - stress)
             for stress in self._remembered
         )
-        return np.stack([-self._at_markers(force) for force in forces])
+        return np.stack([-self._marker_displacement(force) for force in forces])
 
-    def _at_markers(self, forces: Array) -> Array:
+    def _marker_displacement(self, forces: Array) -> Array:
         """Return the marker displacement (3 N,), m, by generalized forces (3, n), N, at constant
         pressure."""
         moved = self._inverse.positions(self._stiffness.solve(forces))

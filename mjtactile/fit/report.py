@@ -48,7 +48,7 @@ def text_of(result: FitResult) -> str:
             f"{float(np.sqrt(np.mean((p - run.pressure) ** 2))):.1f} Pa (rms)"
             for run, p in zip(result.gas.runs, result.gas.fitted, strict=True)
         ]
-    lines += [""] * bool(result.held_out) + [_held(row) for row in result.held_out]
+    lines += [""] * bool(result.held_out) + [_held_out_text(row) for row in result.held_out]
     return "\n".join([*lines, f"took {result.seconds:.0f} s"]) + "\n"
 
 
@@ -57,7 +57,7 @@ def _interval(parameter: FittedParameter) -> str:
     return f"{digits(low, parameter.sd)} to {digits(high, parameter.sd)}"
 
 
-def _held(row: Any) -> str:
+def _held_out_text(row: Any) -> str:
     if math.isnan(row.depth):
         where = "no depth"
     else:

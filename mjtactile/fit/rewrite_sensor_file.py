@@ -22,11 +22,13 @@ def rewrite(text: str, parameters: Sequence[FittedParameter], head: str) -> str:
         else:
             value = f"{parameter.value:.10g}"
         is_float = any(c in value for c in ".einf")
-        _put(lines, section, key, value if is_float else f"{value}.0", parameter)
+        _set_line(lines, section, key, value if is_float else f"{value}.0", parameter)
     return "\n".join([*(f"# {line}" for line in head.splitlines()), "", *lines]) + "\n"
 
 
-def _put(lines: list[str], section: str, key: str, value: str, parameter: FittedParameter) -> None:
+def _set_line(
+    lines: list[str], section: str, key: str, value: str, parameter: FittedParameter
+) -> None:
     """Change or add one line.
 
     A value that the recordings do not determine is not added to the file.

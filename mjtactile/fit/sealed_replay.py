@@ -100,9 +100,11 @@ class ReplayedRecording:
         pressure = other.pressure - base.pressure
         volume = other.volume - base.volume
         weight = _CHANGE**2
-        return (volume * pressure + self._at_rest(design) * weight) / (pressure**2 + weight)
+        return (volume * pressure + self._compliance_at_rest(design) * weight) / (
+            pressure**2 + weight
+        )
 
-    def _at_rest(self, design: SensorDesign) -> float:
+    def _compliance_at_rest(self, design: SensorDesign) -> float:
         """Return the compliance without contact, m^3/Pa."""
         world = stage_world(design, self.evidence, self.mesh)
         volumes = []

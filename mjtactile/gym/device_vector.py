@@ -124,13 +124,13 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         if options and self._started:
             self._write("reset_mask", options["reset_mask"], self._over)
             self._grasps.restart(self._over)
-            return self._shown(self._grasps.observation), {}
+            return self._observation(self._grasps.observation), {}
         super().reset(seed=None if seed is None else int(seed))
         first = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         self._grasps.reset(first)
         self._over.zero_()
         self._started = True
-        return self._shown(self._grasps.observation), {"seed": self._grasps.episode_seeds}
+        return self._observation(self._grasps.observation), {"seed": self._grasps.episode_seeds}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """One camera period in all worlds; those that are over start their next episode.
@@ -154,9 +154,9 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             self._launch(find_over, *ends, self._over)
             info["outcome"] = self._copied(scores.outcome)
             grasps.restart(self._over)
-        info.setdefault("outcome", self._shown(scores.outcome))
+        info.setdefault("outcome", self._observation(scores.outcome))
         shown = (grasps.observation, scores.reward, scores.terminated, scores.truncated)
-        observation, reward, terminated, truncated = (self._shown(array) for array in shown)
+        observation, reward, terminated, truncated = (self._observation(array) for array in shown)
         return observation, reward, terminated, truncated, info
 
     def truth(self) -> dict[str, Array]:
@@ -200,11 +200,11 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             values = np.ascontiguousarray(values, np.bool_ if is_bool else np.float32)
         like.assign(values)
 
-    def _shown(self, array: Any) -> Any:
+    def _observation(self, array: Any) -> Any:
         return array.numpy() if self._torch is None else wp.to_torch(array)
 
     def _copied(self, array: Any) -> Any:
-        return self._shown(wp.clone(array))
+        return self._observation(wp.clone(array))
 
 
 def _torch() -> Any:

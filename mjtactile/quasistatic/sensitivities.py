@@ -124,7 +124,7 @@ def sensitivities_of(
     by_detection = np.empty((count, FOUND))
     settings = np.array([membrane._gas, membrane.sealed, 0.0, 1.0, 0.0, 0.0])
     fixed = (membrane._constants, membrane._law, *membrane.grid, room.size, room, settings)
-    given = _given(state, rows, pool, by)
+    given = _kernel_arguments(state, rows, pool, by)
     if _call_kernel("qs_sensitivities", *fixed, *given, by_x, by_force, by_detection):
         raise InputError("is not an equilibrium on these obstacles", field="state")
     picked = (by_detection[:, index] for index in (PRESSURE, VOLUME, AREA))
@@ -153,7 +153,7 @@ def approximate_sensitivities(
         membrane._kept.size,
         membrane._kept,
     )
-    given = _given(state, rows, pool, by)
+    given = _kernel_arguments(state, rows, pool, by)
     workspace = (membrane._room.size, membrane._room)
     _call_kernel(
         "qs_approximate_sensitivities", *fixed, *workspace, settings, *given, by_z, by_force
@@ -161,7 +161,9 @@ def approximate_sensitivities(
     return by_z, by_force
 
 
-def _given(state: MembraneSolution, rows: Array, pool: Array | None, by: Array) -> tuple[Any, ...]:
+def _kernel_arguments(
+    state: MembraneSolution, rows: Array, pool: Array | None, by: Array
+) -> tuple[Any, ...]:
     """Return obstacles, steps and state as kernel arguments."""
     pooled = 0 if pool is None else pool.size
     return rows.shape[1], len(by), rows, pooled, pool, by, state.x, state.force

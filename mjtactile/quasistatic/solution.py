@@ -157,7 +157,7 @@ class MembraneSolution:
             return 0.0
         at = low[:2]
         for _ in range(3):  # fixed-point iteration for the point of the flat membrane
-            found = _between(on.x, on.y, self.x, at)
+            found = _interpolated(on.x, on.y, self.x, at)
             if found is None:
                 return 0.0
             at = low[:2] - found[:2]
@@ -234,7 +234,7 @@ class MembraneSolutionBatch:
         return np.where(self.converged, -self.found[:, 2], np.nan)
 
 
-def _between(x: Array, y: Array, fields: Array, at: Array) -> Array | None:
+def _interpolated(x: Array, y: Array, fields: Array, at: Array) -> Array | None:
     """Interpolate fields (k, nx, ny) bilinearly at a point of the flat membrane; None off the
     grid."""
     i = (at[0] - x[0]) / (x[1] - x[0])

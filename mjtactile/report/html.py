@@ -39,9 +39,9 @@ def flag_table(flags: Flags) -> str:
     rows = [
         [
             escape(kind),
-            _known(flag.first, ".2f"),
-            _known(flag.last, ".2f"),
-            _known(100 * flag.fraction, ".0f"),
+            _nan_if_none(flag.first, ".2f"),
+            _nan_if_none(flag.last, ".2f"),
+            _nan_if_none(100 * flag.fraction, ".0f"),
             escape(flag),
         ]
         for kind, flag in flags.items()
@@ -49,7 +49,7 @@ def flag_table(flags: Flags) -> str:
     return table(["flag", "first, s", "last, s", "of the time, %", "reason"], rows, text=True)
 
 
-def _known(value: float, form: str) -> str:
+def _nan_if_none(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else ""
 
 

@@ -65,14 +65,14 @@ def true_lines(shape: ContactShape, view: SceneCamera, finger: int) -> Array:
         return np.zeros((0, 2, 3))
     corners_O = (view.object_triangles() - view.p_WS[finger]) @ view.R_WS[finger] - shape.p_SO
     near = (np.abs(corners_O).min(axis=1)[:, :2] < _RADIUS).all(axis=1)
-    pieces = [_cut(corners_O[near], angle) for angle in directions_of(shape)]
+    pieces = [_plane_section(corners_O[near], angle) for angle in directions_of(shape)]
     found = np.concatenate(pieces)
     center = found.mean(axis=1)
     here = (np.hypot(center[:, 0], center[:, 1]) < _RADIUS) & (found[:, :, 2] > -_BELOW).all(axis=1)
     return found[here & (found[:, :, 2] < _ABOVE).all(axis=1)] + shape.p_SO
 
 
-def _cut(corners: Array, turn: float) -> Array:
+def _plane_section(corners: Array, turn: float) -> Array:
     """Cut triangles (m, 3, 3) with the upright plane `turn` rad from x: (n, 2, 3)."""
     distance = corners @ np.array([-math.sin(turn), math.cos(turn), 0.0])
     crossed = np.flatnonzero(distance.min(axis=1) * distance.max(axis=1) < 0)

@@ -56,9 +56,9 @@ class CommandLimits:
             step = min(getattr(self, entry.rate) * period, entry.step_max)
         before = requested if last is None else last
         if not isinstance(requested, tuple):
-            return _near(requested, before, step, low, high)
+            return _limited_value(requested, before, step, low, high)
         pairs = zip(requested, before, strict=True)
-        return tuple(_near(command, was, step, low, high) for command, was in pairs)
+        return tuple(_limited_value(command, was, step, low, high) for command, was in pairs)
 
 
 UNLIMITED = CommandLimits(
@@ -73,7 +73,7 @@ UNLIMITED = CommandLimits(
 """Limits that leave commands as they are, apart from negative openings, forces and pressures."""
 
 
-def _near(value: float, before: float, step: float, low: float, high: float) -> float:
+def _limited_value(value: float, before: float, step: float, low: float, high: float) -> float:
     """Return the number nearest to `value` within `low` and `high`, no further from `before` than
     a `step`."""
     return min(max(value, before - step, low), before + step, high)

@@ -165,7 +165,7 @@ class _Log(Observer):
         self._safe.watch(cycle.touch, cycle.sent)
         self.devices.watch(cycle)
         if cycle.sent.phase == "done" and self.phases[-1:] != ["done"]:
-            self.left = "" if self._is_set_down(cycle) else _left(cycle)
+            self.left = "" if self._is_set_down(cycle) else _outcome_if_raised(cycle)
         self.contacts.add(cycle)
         self.forces.append(tuple(touch.force_normal for touch in cycle.touch))
         self.phases.append(cycle.sent.phase)
@@ -320,7 +320,7 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     return score
 
 
-def _left(cycle: Cycle) -> str:
+def _outcome_if_raised(cycle: Cycle) -> str:
     """Return the outcome if the controller ended with the gripper raised, or ""."""
     if cycle.sent.lift_height < HEIGHT_TOLERANCE:
         return ""

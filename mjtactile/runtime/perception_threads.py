@@ -102,7 +102,7 @@ class Perceivers:
         other image until it has answered. Raises the error of a pipeline after all have ended.
         """
         if not self._has_threads:
-            return self._in_turn(images, now, readings)
+            return self._run_in_turn(images, now, readings)
         pairs = list(zip(self._pipelines, images, strict=True))
         given = [(image, now, reading) for image, reading in with_readings(images, readings)]
         for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True):
@@ -122,7 +122,7 @@ class Perceivers:
             for ((_, name, _), image), outcome in zip(pairs, found, strict=True)
         )
 
-    def _in_turn(
+    def _run_in_turn(
         self, images: Sequence[Image], now: float, readings: Sequence[PressureReading | None]
     ) -> tuple[Touch, ...]:
         outcomes = [

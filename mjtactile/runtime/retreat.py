@@ -68,9 +68,11 @@ class Retreat:
         """
         if opening is not None:
             self._measured = opening
-        return self._down(last, touch, height) or self._open(last, touch, opening)
+        return self._lowering_command(last, touch, height) or self._open(last, touch, opening)
 
-    def _down(self, last: Command, touch: Sequence[Touch], height: float | None) -> Command | None:
+    def _lowering_command(
+        self, last: Command, touch: Sequence[Touch], height: float | None
+    ) -> Command | None:
         """Return the next lowering command; None: the gripper is down, or the held object
         stands."""
         self._stands |= self._load.stands(touch, last.lift_height)

@@ -42,7 +42,7 @@ class TrueSurface:
         mujoco.mj_forward(model, data)
         radius = float(np.abs(model.geom_aabb[:, 3:]).sum()) if model.ngeom else 0.05
         radius = min(radius, 0.1)
-        return cls(_met(model, data, radius, seed), model, data)
+        return cls(_ray_hits(model, data, radius, seed), model, data)
 
     def off(self, p: Array, n: Array) -> Array:
         """Return the signed distance (N,) m of points `p` outside the surface, along normals `n`.
@@ -92,7 +92,7 @@ def _ray(model: mujoco.MjModel, data: mujoco.MjData, start: Array, way: Array) -
     return mujoco.mj_ray(model, data, start, way, _GROUPS, 1, -1, None)
 
 
-def _met(model: mujoco.MjModel, data: mujoco.MjData, radius: float, seed: int) -> Array:
+def _ray_hits(model: mujoco.MjModel, data: mujoco.MjData, radius: float, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     found = []
     for _ in range(_RAYS):

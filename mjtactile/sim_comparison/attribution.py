@@ -159,7 +159,7 @@ def explain(
         lambda requested: [attempted(simulate, parameter) for parameter in requested]
     )
     probes = [here if parameter is None else parameter.at(time) for parameter in run_all(asked)]
-    tried, allowed = _tried(there, here, causes, probes, _shift(plain, time))
+    tried, allowed = _tested_parameters(there, here, causes, probes, _shift(plain, time))
 
     def run(amounts: Mapping[str, Sequence[float]]) -> Signals | None:
         signals = attempted(simulate, amounts)
@@ -284,7 +284,7 @@ def _shift(plain: Signals, time: Array) -> tuple[Signals, Signals]:
 _CLOCK = 0.05  # standard deviation of the clock offset, s
 
 
-def _tried(
+def _tested_parameters(
     there: Signals,
     here: Signals,
     causes: Sequence[DiscrepancyParameter],

@@ -155,7 +155,7 @@ def _touches(
             for line in lines_of(estimated.touch.shape):
                 _line(brush, pose.place(line))
         if centre is not None:
-            brush.ball(pose.place(_over(estimated, centre[None]))[0], 8e-4, _RED)
+            brush.ball(pose.place(_above_surface(estimated, centre[None]))[0], 8e-4, _RED)
     if estimated.touch.traction is None:
         return
     if (
@@ -163,20 +163,20 @@ def _touches(
         and centre is not None
         and np.isfinite(estimated.touch.traction.wrench[:3]).all()
     ):
-        tip = pose.place(_over(estimated, centre[None]))[0]
+        tip = pose.place(_above_surface(estimated, centre[None]))[0]
         push = -pose.R_WS @ estimated.touch.traction.wrench[:3]
         brush.connect(_G.mjGEOM_ARROW, 0.002, tip - _METRES_PER_NEWTON * push, tip, rgba)
     if options.field:
         _field(brush, estimated, pose, rgba)
 
 
-def _over(estimated: FingerSnapshot, p_S: Array) -> Array:
+def _above_surface(estimated: FingerSnapshot, p_S: Array) -> Array:
     return surface_colormap.height_at(estimated.touch, p_S) + [0.0, 0.0, 2 * _ABOVE]
 
 
 def _outline(brush: GeomPool, estimated: FingerSnapshot, pose: Pose, outline: Array) -> None:
     every = -(-len(outline) // _OUTLINE)
-    points = pose.place(_over(estimated, outline[::every]))
+    points = pose.place(_above_surface(estimated, outline[::every]))
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         brush.connect(_G.mjGEOM_LINE, 3.0, a, b, _DARK)
 
@@ -198,7 +198,7 @@ def _field(brush: GeomPool, estimated: FingerSnapshot, pose: Pose, rgba: Sequenc
             push = -t.force[np.ix_(rows, columns)].sum(axis=(0, 1))
             if np.linalg.norm(push) * _FIELD_METRES_PER_NEWTON > _MIN_ARROW:
                 tip = pose.place(
-                    _over(estimated, np.array([[t.x[columns].mean(), t.y[rows].mean()]]))
+                    _above_surface(estimated, np.array([[t.x[columns].mean(), t.y[rows].mean()]]))
                 )[0]
                 brush.connect(
                     _G.mjGEOM_ARROW,

@@ -267,7 +267,7 @@ def snapshot_of(
                 image,
                 touch,
                 None if finger is None else finger.design,
-                None if session is None else _rest(session, k),
+                None if session is None else _rest_surface(session, k),
                 poses[k],
                 cycle.valves[k] if k < len(cycle.valves) else None,
                 true[k],
@@ -296,7 +296,7 @@ def snapshot_of(
     )
 
 
-def _rest(session: Session, finger: int) -> Surface | None:
+def _rest_surface(session: Session, finger: int) -> Surface | None:
     """Return the finger's membrane without contact, as measured by its sensing pipeline."""
     reference = getattr(getattr(session.perceptions[finger], "state", None), "reference", None)
     return None if reference is None else reference.surface

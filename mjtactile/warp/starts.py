@@ -125,7 +125,7 @@ def sample_starts(
         table = np.zeros((len(seeds), max(len(bodies) + len(others), 1), 7))
         local = _local(world, mix, bodies, start_of(scenario.seed)[0])
         for b in range(len(bodies)):
-            table[:, b] = _moved(local[kinds, b], poses, scale, world)
+            table[:, b] = _world_poses(local[kinds, b], poses, scale, world)
         for b, body in enumerate(others, len(bodies)):
             table[:, b] = [*model.body_pos[body], *model.body_quat[body]]
         setattr(starts, name, floats(table))
@@ -135,8 +135,8 @@ def sample_starts(
     starts.mass = floats([1 + one.object.mass for one in sampled])
     starts.friction = floats([_frictions(one, fingers) for one in sampled])
     sensor = world.sensors[0]
-    stiffness = np.array([_of(one, fingers, _stiffness) for one in sampled])
-    offsets = np.array([_of(one, fingers, _pre_stretch) for one in sampled])
+    stiffness = np.array([_finger_values(one, fingers, _stiffness) for one in sampled])
+    offsets = np.array([_finger_values(one, fingers, _pre_stretch) for one in sampled])
     found = match_membranes(
         sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
     )
@@ -217,7 +217,7 @@ def _local(
     return poses
 
 
-def _moved(
+def _world_poses(
     local: Array, requested: Sequence[tuple[float, float, float]], scale: Array, world: Any
 ) -> Array:
     """Return a body's poses (n, 7) in the world from its `local` poses (n, 7)."""
@@ -241,7 +241,7 @@ def _frictions(world: SampledWorld, fingers: Sequence[str]) -> list[float]:
     return [own, *(own * (1 + world.as_built_sensor(f).friction_fraction) for f in fingers)]
 
 
-def _of(
+def _finger_values(
     world: SampledWorld, fingers: Sequence[str], value: Callable[[AsBuiltSensor], float]
 ) -> list[float]:
     """Return a value of each finger's as-built sensor."""

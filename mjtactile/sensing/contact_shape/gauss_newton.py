@@ -152,11 +152,11 @@ def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, dampin
     far = np.abs(step) > maximum
     cut = bool(far.any())
     if cut:
-        step = _within(H, gradient, step, maximum, far)
+        step = _limited_step(H, gradient, step, maximum, far)
     return Step(step, float(-(2 * gradient + H @ step) @ step), cut)
 
 
-def _within(
+def _limited_step(
     H: Array, gradient: Array, step: Array, maximum: Array, far: NDArray[np.bool_]
 ) -> Array:
     """Return a step within its limits. Parameters that would go too `far` are held at their limit,
@@ -191,7 +191,7 @@ def _limits(family: ShapeModel) -> tuple[Array, NDArray[np.bool_], NDArray[np.bo
 
 
 @dataclass(frozen=True)
-class _Enough:
+class _CostThresholds:
     """Cost thresholds of a fit. A smaller promised gain than `settled` ends the fit. A larger one
     than `far` requires fresh slopes. `known` is the best cost so far, and `behind` the maximum cost
     worth following."""
@@ -202,7 +202,9 @@ class _Enough:
     behind: float
 
     @classmethod
-    def of(cls, settled: float, far: float, known: float, noise: float, count: int) -> _Enough:
+    def of(
+        cls, settled: float, far: float, known: float, noise: float, count: int
+    ) -> _CostThresholds:
         if np.isinf(known):
             return cls(settled * noise, far * noise, known, known)
         noise = max(noise, known / count)
@@ -243,7 +245,7 @@ def refine(
         far: Promised gain relative to the noise that requires a fresh Jacobian.
     """
     family = problem.family
-    enough = _Enough.of(settled, far, known, noise, len(at.residual))
+    enough = _CostThresholds.of(settled, far, known, noise, len(at.residual))
     damping = _DAMPING[0] if slopes is None else _DAMPING[1]
     fresh = slopes is not None and slopes.theta is at.theta
     if slopes is None or slopes.worn(family, at.theta):

@@ -268,7 +268,7 @@ def replace_shape(
     theta[2] += 1e3 * gap
     theta = problem.clip(theta)
     solution = problem.solve(theta, state)
-    return None if solution is None else _to_force(problem, theta, solution)
+    return None if solution is None else _shift_to_force(problem, theta, solution)
 
 
 def approach(problem: Problem, start: Array) -> FitState | None:
@@ -288,10 +288,10 @@ def approach(problem: Problem, start: Array) -> FitState | None:
         reached = trial
         if state.force_normal > problem.data.force:
             break
-    return None if state is None else _to_force(problem, reached, state)
+    return None if state is None else _shift_to_force(problem, reached, state)
 
 
-def _to_force(problem: Problem, theta: Array, state: MembraneSolution) -> FitState:
+def _shift_to_force(problem: Problem, theta: Array, state: MembraneSolution) -> FitState:
     """Move a shape up or down until its force is close to the estimated force."""
     heights = problem.family.heights
     stiffness = _STIFFNESS[1] * len(heights)

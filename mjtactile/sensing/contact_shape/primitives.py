@@ -88,7 +88,7 @@ def principal(theta: Array) -> tuple[float, float, float]:
     return mean + half, mean - half, direction % math.pi
 
 
-def _above(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, float]:
+def _raised_position(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, float]:
     """Return the position `up` m above that of the first three parameters."""
     x, y, z = place_of(theta, hint).tolist()
     return x, y, z + up
@@ -100,7 +100,11 @@ def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     maximum, minimum, direction = principal(theta)
     tall = 1 / max(maximum, _FLAT)
     sizes = (math.sqrt(tall / max(minimum, _FLAT)), math.sqrt(tall / max(maximum, _FLAT)), tall)
-    return (unchecked_obstacle("ellipsoid", sizes, _above(theta, hint, tall), about(2, direction)),)
+    return (
+        unchecked_obstacle(
+            "ellipsoid", sizes, _raised_position(theta, hint, tall), about(2, direction)
+        ),
+    )
 
 
 def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
@@ -117,7 +121,7 @@ def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
 
 def ball(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
     radius = 1 / max(float(theta[3]), _FLAT)
-    return (unchecked_obstacle("sphere", (radius,), _above(theta, hint, radius)),)
+    return (unchecked_obstacle("sphere", (radius,), _raised_position(theta, hint, radius)),)
 
 
 def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
@@ -151,7 +155,7 @@ def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, 
     return x, y, position[2] + theta[3] * y - theta[4] * x
 
 
-def _off_lines(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
+def _node_offsets(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
     """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`. They are x (m, nx,
     1), y (m, 1, ny), heights (m, nx, ny)."""
     position = 1e-3 * thetas[:, :3, None, None]
@@ -169,7 +173,7 @@ def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
 
 def discs(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
     """Build the discs with parameters `thetas` (m, 6)."""
-    x, y, heights = _off_lines(thetas, hint)
+    x, y, heights = _node_offsets(thetas, hint)
     distance = np.sqrt(x**2 + y**2)
     distance -= 1e-3 * thetas[:, 5, None, None] + _RIM_OUT * hint.rounding
     heights += _soft(distance, hint.rounding)
@@ -182,7 +186,7 @@ def disc(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
 
 def blocks(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
     """Build the blocks with parameters `thetas` (m, 8)."""
-    x, y, heights = _off_lines(thetas, hint)
+    x, y, heights = _node_offsets(thetas, hint)
     c = np.cos(thetas[:, 5])[:, None, None]
     s = np.sin(thetas[:, 5])[:, None, None]
     for along, half in ((c * x + s * y, 6), (c * y - s * x, 7)):

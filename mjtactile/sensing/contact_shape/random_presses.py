@@ -188,7 +188,7 @@ def _random_shape(hint: InitialGuess, rng: np.random.Generator) -> _Shape:
     if name == "multiple":
         return _two_balls(hint, at, group, rng)
     if name == "other":
-        return _other(hint, at, group, rng)
+        return _height_field(hint, at, group, rng)
     family = FAMILIES[name]
     theta = np.concatenate([1e3 * at, [0.0], _NUMBERS[name](rng)])
 
@@ -271,7 +271,7 @@ def _two_balls(hint: InitialGuess, at: Array, group: int, rng: np.random.Generat
     return _Shape(group, SHAPES.index("multiple"), np.array([*1e3 * at, 0.0]), build)
 
 
-def _other(hint: InitialGuess, at: Array, group: int, rng: np.random.Generator) -> _Shape:
+def _height_field(hint: InitialGuess, at: Array, group: int, rng: np.random.Generator) -> _Shape:
     """Return a height field without a shape model."""
     t = rng.uniform(0, math.pi)
     x, y = hint.nodes[0] - at[0], hint.nodes[1] - at[1]

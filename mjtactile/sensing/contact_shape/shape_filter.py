@@ -48,16 +48,18 @@ class ShapeFilter:
 
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
-        seen, information = _alone(fit)
-        own = np.eye(len(information)) + seen @ _own_wrong(fit, self.coarse)
+        seen, information = _information_of(fit)
+        own = np.eye(len(information)) + seen @ _model_error_variance(fit, self.coarse)
         seen = np.linalg.solve(own, seen)
         information = np.linalg.solve(own, information)
-        drift = self.drift + _heavy_tailed(self._off(seen, information), len(information))
+        drift = self.drift + _heavy_tailed(
+            self._squared_distance(seen, information), len(information)
+        )
         freedom = self.freedom + (len(information) if self.precision.any() else 0)
         precision = self.precision + seen
         return ShapeFilter(precision, self.information + information, self.coarse, drift, freedom)
 
-    def _off(self, seen: Array, information: Array) -> float:
+    def _squared_distance(self, seen: Array, information: Array) -> float:
         """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The
         evaluation has precision `seen` (m, m) and information vector `information` (m,). Unobserved
         directions do not count."""
@@ -82,7 +84,7 @@ class ShapeFilter:
         stood = np.linalg.inv(fit.precision_with(noise))[np.ix_(free, free)]
         cov = np.zeros((len(mean), len(mean)))
         cov[np.ix_(free, free)] = stood + np.diag((family.loose / family.sd)[free] ** 2)
-        cov[np.ix_(kept, kept)] = known + _own_wrong(fit, self.coarse)
+        cov[np.ix_(kept, kept)] = known + _model_error_variance(fit, self.coarse)
         return Prior(mean, np.linalg.inv(cov))
 
 
@@ -98,7 +100,7 @@ def _heavy_tailed(square: float, count: int) -> float:
     return (_TAIL + count) * math.log1p(square / _TAIL)
 
 
-def _alone(fit: Fit) -> tuple[Array, Array]:
+def _information_of(fit: Fit) -> tuple[Array, Array]:
     """Return precision (m, m) and information vector (m,) of the constant parameters from one
     image. They are scaled by the standard deviations, exclude the prior of these parameters, and
     are marginalized over the pose."""
@@ -119,7 +121,7 @@ def _alone(fit: Fit) -> tuple[Array, Array]:
     return image[np.ix_(kept, kept)] - through[:, :-1], information[kept] - through[:, -1]
 
 
-def _own_wrong(fit: Fit, coarse: float) -> Array:
+def _model_error_variance(fit: Fit, coarse: float) -> Array:
     """Return the variance (m, m) of the scaled constant parameters from membrane model errors. It
     covers errors that differ between evaluations. It grows as fewer nodes touch, and with the mesh
     ratio `coarse`: an error of the position of a rim with the spacing, one of the sag between

@@ -292,7 +292,7 @@ def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
     region the contact `force` (nx, ny), N, exceeds half of its median."""
     if not (force > 0).any():
         return np.zeros((0, 2))
-    across, along = (_between(count) for count in force.shape)
+    across, along = (_interpolation_matrix(count) for count in force.shape)
     fine = across @ force @ along.T
     inside = (fine > 0.5 * float(np.median(force[force > 0]))).astype(np.uint8)
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -307,7 +307,7 @@ def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
 
 
 @cache
-def _between(count: int) -> Array:
+def _interpolation_matrix(count: int) -> Array:
     """Return the linear interpolation matrix (m, count) from node values to points between them."""
     positions = np.linspace(0, count - 1, _FINER * (count - 1) + 1)
     return np.maximum(0.0, 1 - np.abs(positions[:, None] - np.arange(count)))

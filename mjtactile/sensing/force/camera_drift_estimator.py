@@ -116,20 +116,20 @@ class CameraDriftEstimator:
         weight = 1 / np.sqrt(variance + self._floor**2)
         weighted = weight[:, :, None] * rows
         px = _middle(np.hypot(moved[:, 0], moved[:, 1]))
-        likely = self._likely(px)
+        likely = self._prior_sds(px)
         outlier = self._own.outlier
         mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
         if px > _LINEAR_PX:
             before = np.column_stack([rest.center_px, rest.radius_px])[there]
-            moved = self._left(mean, ids, before + moved, before, rows) + rows @ mean
+            moved = self._residual(mean, ids, before + moved, before, rows) + rows @ mean
             mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
-        grown = self._grown(mean, float(darker.mean()))
+        grown = self._size_growth(mean, float(darker.mean()))
         covariance[_SIZE, _SIZE] += (self._own.curve_left * grown) ** 2
         root = np.linalg.cholesky(covariance)
         change = self._change(mean, now, rest, here, there, misfit)
         return CameraDriftEstimate(mean, root, float(darker.mean()), change)
 
-    def _grown(self, mean: Array, darker: float) -> float:
+    def _size_growth(self, mean: Array, darker: float) -> float:
         """Return the growth of circles that are `darker`, in standard deviations of the size
         mode."""
         s = self._s
@@ -189,7 +189,7 @@ class CameraDriftEstimator:
         rotation = s.displaced_rotation * np.array([mean[3], mean[4], 0.0])
         return geometry.rotation_from_vector(rotation), s.displaced_shift * mean[:3]
 
-    def _left(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
+    def _residual(self, mean: Array, ids: Array, shown: Array, before: Array, rows: Array) -> Array:
         """Return the residual of circles (n, 3), px, from `before` to `shown`, after the drift
         `mean`."""
         image = self.image(mean, 0.0)
@@ -198,7 +198,7 @@ class CameraDriftEstimator:
         radius = (shown[:, 2] - levels - image.grown) / (1 + image.scale)
         return np.column_stack([image.inverse(shown[:, :2]), radius]) - then
 
-    def _likely(self, moved_px: float) -> Array:
+    def _prior_sds(self, moved_px: float) -> Array:
         """Return the prior standard deviations (K,) of the modes for the observed image motion.
         They scale with this motion. Planar circles do not separate all modes. Modes that cancel are
         as unlikely as a displacement without image motion."""

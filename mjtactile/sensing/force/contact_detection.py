@@ -113,7 +113,7 @@ def follow(
     seen = estimator.positions(rest.c)[ids] + rest.offset[ids]
     offsets = zero.offsets.copy()
     offsets[ids] += blend * (markers.p_SM - seen - offsets[ids])
-    bulge = _of_gas(estimator, rest, shape)
+    bulge = _bulge_change(estimator, rest, shape)
     moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
     fraction, local = _explain(offsets[ids], moved[ids], markers.cov_p)
     pace = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
@@ -131,7 +131,7 @@ def follow(
     )
 
 
-def _of_gas(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
+def _bulge_change(estimator: InverseMembrane, rest: InverseRest, shape: Shape) -> Array:
     """Return the bulge change (3, n), m, in coefficients, per relative change of the gas amount. It
     is 0 where a valve keeps the pressure."""
     if rest.gas.constant is None and rest.gas_sd is None:

@@ -121,7 +121,7 @@ def estimate_force_from_surface(
     tension = _tension_of_rest(grid, rest_bent, seen, membrane.pressure)
     # residual of the smooth tension at rest: camera error, or stretch that differs by direction
     held = tension * (bent - rest_bent) + membrane.pressure
-    factor = _grown(grid, held, seen, pressure)
+    factor = _curvature_factor(grid, held, seen, pressure)
     tension = factor * tension
     held = factor * held
     pressing = np.where(seen, pressure - held, np.nan)
@@ -141,7 +141,7 @@ def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure
     return pressure / np.clip(smooth, 0.3 * median, 3.0 * median)
 
 
-def _grown(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:
+def _curvature_factor(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:
     """Return a factor on the curvature pressure `held` (nx, ny), Pa. It makes the contact pressure
     zero on the free surface."""
     factor = 1.0
@@ -193,7 +193,7 @@ class _Grid:
             np.arange(a, b + self.spacing, self.spacing) for a, b in zip(low, high, strict=True)
         )
         nodes = np.stack(np.meshgrid(self.x, self.y, indexing="ij"), axis=-1)
-        self.inside = _within(nodes, outline)
+        self.inside = _inside_polygon(nodes, outline)
 
     def fit(self, points: ArrayLike, field: str) -> tuple[Array, NDArray[np.bool_]]:
         """Return heights (nx, ny), m, and a mask (nx, ny) of where they were measured. The surface
@@ -285,7 +285,7 @@ class _Grid:
         return np.asarray(binary_dilation(marked, iterations=times), bool)
 
 
-def _within(positions: Array, outline: Array) -> NDArray[np.bool_]:
+def _inside_polygon(positions: Array, outline: Array) -> NDArray[np.bool_]:
     """Return a mask of the positions (..., 2) inside a polygon (k, 2). A ray toward +x crosses the
     polygon an odd number of times from there."""
     odd = np.zeros(positions.shape[:-1], bool)

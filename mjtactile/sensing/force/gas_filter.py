@@ -94,7 +94,7 @@ class GasFilter:
         """The gas at `time` s, and the sd of its pressure, Pa."""
         ahead = time - state.time
         value = state.value + state.rate * ahead
-        cov = _moved(state.cov, ahead) + self._noise(state, abs(ahead))
+        cov = _propagated(state.cov, ahead) + self._noise(state, abs(ahead))
         if state.is_open:
             gas = Gas((value + state.zero) * self._ambient)
         else:
@@ -146,7 +146,7 @@ class GasFilter:
             return state, False
         s = self.settings
         value = state.value + state.rate * ahead
-        cov = _moved(state.cov, ahead) + self._noise(state, ahead)
+        cov = _propagated(state.cov, ahead) + self._noise(state, ahead)
         measured = reading.gauge_pressure / self._ambient
         variance = (reading.sd / self._ambient) ** 2
         if not state.is_open:
@@ -187,6 +187,6 @@ class GasFilter:
         return np.diag([walk**2 * seconds, rate**2 * seconds])
 
 
-def _moved(cov: Array, ahead: float) -> Array:
+def _propagated(cov: Array, ahead: float) -> Array:
     F = np.array([[1.0, ahead], [0.0, 1.0]])
     return F @ cov @ F.T

@@ -352,7 +352,7 @@ class InverseMembrane(LoadedMembrane):
         force = shape.traction * self.node_area
         positions = self.node_positions(shape.c)
         wrench = _net(force, positions)
-        nodal = self._on_grid(force)
+        nodal = self._to_regular_grid(force)
         change = wrench  # without a history all of it may have come just now
         moved = np.zeros((len(self.nodes), 3))
         if before is not None:

@@ -126,7 +126,7 @@ class SplineMembrane:
         self.weights = self.cells
         self._turns = None
         if design.frame.outline is not None:
-            self._turns = self._turned(product(ax.points, ay.points))
+            self._turns = self._map_derivatives(product(ax.points, ay.points))
             self.weights = self.cells * self._turns[..., 4].reshape(self.cells.shape)
         # values of the splines at the Gauss points, then slopes
         self._up_x = np.concatenate([ax.at(ax.points, 0), ax.at(ax.points, 1)])
@@ -186,7 +186,7 @@ class SplineMembrane:
     def _half(self) -> Array:
         return np.array([axis.length for axis in self.axes]) / 2
 
-    def _turned(self, own: Array) -> Array:
+    def _map_derivatives(self, own: Array) -> Array:
         """Return the map's derivatives and area ratio (N, 5) in the kernels' layout."""
         return np.column_stack([self.turns(own).reshape(-1, 4), self.density(own)])
 

@@ -48,7 +48,7 @@ class RelaxingMembrane:
         flat, then at `c` (3, n), m, for `inflated_s` s."""
         flat = scale * self._membrane.stress(np.zeros_like(c))
         stress = scale * self._membrane.stress(c)
-        kept = self._kept(inflated_s)
+        kept = self._kept_fraction(inflated_s)
         return RelaxationState(self._fractions * (kept * flat + (1 - kept) * stress), stress, time)
 
     def after(
@@ -56,9 +56,9 @@ class RelaxingMembrane:
     ) -> RelaxationState:
         """Return the relaxation state at `time` s, with the membrane at `c` (3, n), m."""
         stress = scale * self._membrane.stress(c)
-        kept = self._kept(max(time - memory.time, 0.0))
+        kept = self._kept_fraction(max(time - memory.time, 0.0))
         towards = self._fractions * (memory.stress + stress) / 2
         return RelaxationState(kept * memory.faded + (1 - kept) * towards, stress, time)
 
-    def _kept(self, elapsed: float) -> Array:
+    def _kept_fraction(self, elapsed: float) -> Array:
         return self._relaxation.kept(elapsed)[:, None, None, None]

@@ -72,7 +72,9 @@ class BlendEstimator:
         seen = Blend(markers.ids, markers.p_SM)
         if before is None:
             return seen
-        seen = replace(before, ids=markers.ids, p=markers.p_SM, moved=self._moved(before, markers))
+        seen = replace(
+            before, ids=markers.ids, p=markers.p_SM, moved=self._motion_in_sds(before, markers)
+        )
         if seen.moved is None or before.moved is None or len(seen.moved) != len(before.moved):
             return seen
         squares = (np.square(seen.moved).sum() + np.square(before.moved).sum()) / 2
@@ -83,7 +85,7 @@ class BlendEstimator:
             count=_KEPT * before.count + 1,
         )
 
-    def _moved(self, before: Blend, markers: Markers) -> Array | None:
+    def _motion_in_sds(self, before: Blend, markers: Markers) -> Array | None:
         """Return the marker motion since `before` (m, 3), in standard deviations, without its
         smooth part. Return None if the markers are others, or really move."""
         if not np.array_equal(before.ids, markers.ids) or not len(markers.ids):

@@ -75,7 +75,7 @@ class LoadedMembrane(MarkedMembrane):
         pressure = pressure.reshape(hat_x.shape[1], hat_y.shape[1])
         return self.membrane.cells * (hat_x @ pressure @ hat_y.T)
 
-    def _on_grid(self, force: Array) -> Array:
+    def _to_regular_grid(self, force: Array) -> Array:
         """Return the nodal forces (3, J), N, on the regular grid of `Traction`, (ny, nx, 3). The
         force of a node between grid lines is distributed so that sum and position are kept."""
         nodal = np.zeros((len(self.y), len(self.x), 3))

@@ -96,7 +96,7 @@ class Pixels:
 
 
 @dataclass(frozen=True)
-class Around:
+class NeighborMarkers:
     """Markers with `center` (M, 2) and `shape` (M, 3) that may darken the band of another one.
     `near` (N, k) holds their indices for each of N markers, padded with -1. `margin`, px, is the
     darkened zone next to their edges."""
@@ -107,7 +107,9 @@ class Around:
     margin: float
 
     @classmethod
-    def of(cls, center: Array, shape: Array, count: int, width: float, s: EdgeSettings) -> Around:
+    def of(
+        cls, center: Array, shape: Array, count: int, width: float, s: EdgeSettings
+    ) -> NeighborMarkers:
         """The neighbours of the first `count` markers whose bands are +-`width` px."""
         near = np.full((count, 0), -1, dtype=np.int64)
         if len(center) < 2:
@@ -134,8 +136,8 @@ class Around:
         near[i, np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)] = j
         return cls(center, shape, near, s.neighbour_margin)
 
-    def part(self, first: int, last: int) -> Around:
-        return Around(self.center, self.shape, self.near[first:last], self.margin)
+    def part(self, first: int, last: int) -> NeighborMarkers:
+        return NeighborMarkers(self.center, self.shape, self.near[first:last], self.margin)
 
     def clear(self, u: NDArray, v: NDArray, counts: NDArray) -> NDArray[np.bool_]:
         """Return a mask of the band pixels (P,) at least `margin` px from every neighbor's edge."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
-from mjtactile.sensing.image.edge_bands import Around, Pixels, band
+from mjtactile.sensing.image.edge_bands import NeighborMarkers, Pixels, band
 from mjtactile.sensing.image.edge_model import model
 from mjtactile.sensing.settings import DEFAULTS, EdgeSettings
 
@@ -103,7 +103,7 @@ def fit(
     image = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     if others is not None:
         others = np.concatenate([center, others[0]]), np.concatenate([shape, others[1]])
-    around = Around.of(*(others or (center, shape)), len(center), width, s)
+    around = NeighborMarkers.of(*(others or (center, shape)), len(center), width, s)
     parts = []
     first = 0
     perimeter = 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
@@ -160,7 +160,7 @@ def _fit_some(
     image: NDArray,
     center: Array,
     shape: Array,
-    around: Around,
+    around: NeighborMarkers,
     width: float,
     blur: _KnownBlur,
     iterations: int,
@@ -207,7 +207,7 @@ def _fit_some(
 
 
 def gather(
-    image: NDArray, center: Array, shape: Array, around: Around, width: float
+    image: NDArray, center: Array, shape: Array, around: NeighborMarkers, width: float
 ) -> tuple[Pixels, NDArray, Array]:
     """Return the band pixels without those darkened by neighbors. Also return their true count per
     marker, and each marker's origin (whole px)."""

@@ -76,7 +76,7 @@ def detect_thoroughly(
     dark = eight if polarity == "dark" else 255 - eight
     first = candidates.find(dark, min_radius_px, settings.candidates)
     why = implausible(first, min_radius_px, s)
-    found = _with_more(first.take(why == ""), dark, min_radius_px, settings)
+    found = _with_black_hat(first.take(why == ""), dark, min_radius_px, settings)
     fit = _second_try(
         grey, found, fit_candidates(grey, found, settings), polarity, min_radius_px, settings
     )
@@ -129,7 +129,7 @@ def _with_grey_edges(grey: NDArray, s: ExhaustiveDetectionSettings) -> tuple[NDA
     return soft.astype(grey.dtype), _STAIRCASE
 
 
-def _with_more(
+def _with_black_hat(
     found: Candidates, dark: NDArray[np.uint8], min_radius_px: float, settings: Settings
 ) -> Candidates:
     """Return `found` and the additional candidates of the black hat."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses
 from mjtactile.sensing.image import edge_fit, edge_model, ellipse
-from mjtactile.sensing.image.edge_bands import Around, Pixels
+from mjtactile.sensing.image.edge_bands import NeighborMarkers, Pixels
 from mjtactile.sensing.settings import DEFAULTS, GammaSettings, Settings
 
 _MIDDLE = 128.0  # grey levels, to which levels are relative inside
@@ -77,7 +77,7 @@ def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAU
 
 def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> tuple[Pixels, Array]:
     """The bands' pixels as they are, not softened."""
-    around = Around.of(
+    around = NeighborMarkers.of(
         center, shape, len(center), settings.gamma.profile_half_width, settings.edges
     )
     pixels, _, origin = edge_fit.gather(
@@ -133,7 +133,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         total = (1 / sd**2).sum()
         mean = (own / sd**2).sum() / total if total > 0 else 0.0
         step = float(np.clip(mean, -_MAX_STEP, _MAX_STEP))
-        theta = _moved(theta, solved[..., 0] - solved[..., 1] * step)
+        theta = _bounded_step(theta, solved[..., 0] - solved[..., 1] * step)
         log_gamma += step
         if abs(step) < _SETTLED:
             break
@@ -160,7 +160,7 @@ def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArra
     return _MIDDLE * level, J, by_gamma
 
 
-def _moved(theta: Array, change: Array) -> Array:
+def _bounded_step(theta: Array, change: Array) -> Array:
     """Parameters after a step that is not so long that they make no sense."""
     change[:, :5] = np.clip(change[:, :5], -0.5, 0.5)
     new = theta + change

@@ -126,7 +126,7 @@ def large_deflection(s: Scene) -> tuple[bool, str]:
     fraction = (
         c2 / c1 * membrane.young * membrane.thickness / tension * (s.bulge / s.half_width) ** 2
     )
-    return _over(fraction, 0.01, "cubic fraction of the stiffness")
+    return _exceeds(fraction, 0.01, "cubic fraction of the stiffness")
 
 
 def bending(s: Scene) -> tuple[bool, str]:
@@ -153,7 +153,7 @@ def gravity(s: Scene) -> tuple[bool, str]:
     membrane = s.design.membrane
     frame = s.design.frame
     weight = membrane.density * membrane.thickness * frame.area * GRAVITY / membrane.pre_stretch**2
-    return _over(
+    return _exceeds(
         weight / s.force_error,
         0.1,
         f"the membrane's weight of {1e3 * weight:.1f} mN over the requested force error",
@@ -164,7 +164,9 @@ def follower(s: Scene) -> tuple[bool, str]:
     membrane = s.design.membrane
     # a grasp raises it by 1-2 kPa
     pressure = max(abs(s.design.chamber.supply_gauge), 0.02 * s.design.chamber.ambient)
-    return _over(pressure * s.half_width / (membrane.young * membrane.thickness), 1e-2, "p a / E h")
+    return _exceeds(
+        pressure * s.half_width / (membrane.young * membrane.thickness), 1e-2, "p a / E h"
+    )
 
 
 def hyperelastic(s: Scene) -> tuple[bool, str]:
@@ -220,7 +222,7 @@ def servo(s: Scene) -> tuple[bool, str]:
 def motion_blur(s: Scene) -> tuple[bool, str]:
     camera = s.design.camera
     pixels = camera.fx * s.half_width / camera.distance**2 * _CONTACT_SPEED * _EXPOSURE
-    return _over(pixels, 0.5, "px of motion within an exposure at 10 mm/s")
+    return _exceeds(pixels, 0.5, "px of motion within an exposure at 10 mm/s")
 
 
 def latency(s: Scene) -> tuple[bool, str]:
@@ -286,5 +288,5 @@ def material(name: str) -> Gate:
     return gate
 
 
-def _over(value: float, limit: float, quantity: str) -> tuple[bool, str]:
+def _exceeds(value: float, limit: float, quantity: str) -> tuple[bool, str]:
     return value > limit, f"{quantity}: {value:.2g} {'>' if value > limit else '<='} {limit:g}"

@@ -140,14 +140,14 @@ def row_from_json(row: dict[str, Any]) -> Fidelity:
         1e-3 * row["timestep_ms"],
         row["tolerance"],
         row["force_error_N"],
-        1e-6 * _known(row["surface_error_um"]),
-        _known(row.get("force_noise_N")),
+        1e-6 * _nan_if_none(row["surface_error_um"]),
+        _nan_if_none(row.get("force_noise_N")),
         row["ms_per_s"],
         effects=row.get("effects", ""),
     )
 
 
-def _known(value: float | None) -> float:
+def _nan_if_none(value: float | None) -> float:
     return math.nan if value is None else value
 
 

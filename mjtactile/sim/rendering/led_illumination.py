@@ -50,13 +50,13 @@ class Light:
         x = design.frame.length / 2
         y = design.frame.width / 2
         at_center, corner = self._irradiance(
-            self._aside(np.array([[0.0, 0.0], [x, y]])), np.zeros(2)
+            self._lateral_squared(np.array([[0.0, 0.0], [x, y]])), np.zeros(2)
         )
         self._middle = at_center
         self._loss = 1 - corner / at_center
         # of the blocks
         self._bubbles = self._bubble(self._xy)
-        self._asides = self._aside(self._xy)
+        self._asides = self._lateral_squared(self._xy)
 
     def field(self, p_SM: Array) -> Floats:
         """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3)."""
@@ -72,10 +72,10 @@ class Light:
         """The same (N,) at the markers themselves."""
         if self._even:
             return np.ones(len(p_SM))
-        fraction = self._irradiance(self._aside(p_SM[:, :2]), p_SM[:, 2]) / self._middle
+        fraction = self._irradiance(self._lateral_squared(p_SM[:, :2]), p_SM[:, 2]) / self._middle
         return np.maximum(1 - self._falloff * (1 - fraction) / self._loss, 0.0)
 
-    def _aside(self, xy: Array) -> Array:
+    def _lateral_squared(self, xy: Array) -> Array:
         """Return the squared lateral distances (n, ...), m^2, of positions (..., 2) from the
         LEDs."""
         return ((self._leds.reshape(-1, *(1,) * (xy.ndim - 1), 2) - xy) ** 2).sum(axis=-1)

@@ -255,7 +255,7 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
     taps = 8 * int(np.ceil((_TAIL * sd + 0.5) / 4))  # whole vectors
     d = np.arange(taps + 1) - (taps // 2 - 1) - np.arange(_BINS)[:, None] / _BINS
     edge = np.stack([d + 0.5, d - 0.5, d - 1.5])
-    fraction = _below(edge / sd)
+    fraction = _normal_cdf(edge / sd)
     integral = edge * fraction + sd * np.exp(-0.5 * (edge / sd) ** 2) / np.sqrt(2 * np.pi)
     across = fraction[0] - fraction[1]
     down = integral[0] - 2 * integral[1] + integral[2]
@@ -267,7 +267,7 @@ def _brush(blur_px: float) -> tuple[int, int, Floats, Floats]:
     )
 
 
-def _below(x: Array) -> Array:
+def _normal_cdf(x: Array) -> Array:
     """Return the normal distribution below each `x`; importing scipy's `ndtr` takes 0.2 s."""
     root = math.sqrt(0.5)
     fractions = [0.5 * math.erfc(-root * value) for value in x.ravel().tolist()]

@@ -61,11 +61,11 @@ class ArmPath:
 
     def at(self, height: float) -> Array:
         """Goals (a,) for a height."""
-        return _between(self.heights, self.goals, height)
+        return _interpolated_row(self.heights, self.goals, height)
 
     def qpos(self, height: float) -> Array:
         """Coordinates (nq,) of the planned model for a height; only the arm's are of use."""
-        return _between(self.heights, self.joints, height)
+        return _interpolated_row(self.heights, self.joints, height)
 
 
 def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
@@ -374,7 +374,7 @@ def _goal_under_gravity(data: mujoco.MjData, actuator: PositionActuator) -> floa
     return float(data.actuator_length[actuator.id] + torque / actuator.stiffness)
 
 
-def _between(heights: Array, rows: Array, height: float) -> Array:
+def _interpolated_row(heights: Array, rows: Array, height: float) -> Array:
     """The row for a height, linear between the rows of evenly spaced `heights`."""
     index = min(max(height / (heights[1] - heights[0]), 0.0), len(heights) - 1.0)
     low = min(int(index), len(heights) - 2)

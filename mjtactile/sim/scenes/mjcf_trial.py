@@ -62,7 +62,7 @@ def refusal(path: Path, root: ElementTree.Element | None) -> str:
     if absolute.is_relative_to(resources.folder("models")):
         return ""
     state = absolute.stat()
-    return _tried(absolute, state.st_mtime_ns, state.st_size)
+    return _trial_outcome(absolute, state.st_mtime_ns, state.st_size)
 
 
 def _is_heavy(root: ElementTree.Element) -> bool:
@@ -75,7 +75,7 @@ def _is_heavy(root: ElementTree.Element) -> bool:
 
 
 @lru_cache(256)
-def _tried(path: Path, *_state: int) -> str:
+def _trial_outcome(path: Path, *_state: int) -> str:
     """Return the outcome of a trial, once for each state of the file."""
     child = process.start(__name__, path, TIME, MEMORY, talk=True)
     try:

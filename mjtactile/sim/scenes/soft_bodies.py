@@ -70,7 +70,7 @@ def tetrahedra(body: SoftBody) -> tuple[Array, NDArray[np.int64]]:
         cell for cell in product(range(n), repeat=3) if _SHAPES[body.shape][1](np.array(cell), n)
     ]
     points = _SHAPES[body.shape][0](grid, body)
-    elements = _cut(cells, n)
+    elements = _tetrahedra(cells, n)
     used, elements = np.unique(elements, return_inverse=True)
     points = points[used]
     elements = elements.reshape(-1, 4)
@@ -85,7 +85,7 @@ def tetrahedron_volumes(points: Array, elements: NDArray[np.int64]) -> Array:
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6
 
 
-def _cut(cells: list[tuple[int, ...]], n: int) -> NDArray[np.int64]:
+def _tetrahedra(cells: list[tuple[int, ...]], n: int) -> NDArray[np.int64]:
     """Return six tetrahedra (m, 4) per cell, along its diagonal, with common faces."""
     corners = []
     for cell, order in product(cells, permutations(range(3))):

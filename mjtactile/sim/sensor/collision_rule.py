@@ -39,7 +39,7 @@ def pair_only_geoms(model: mujoco.MjModel, carrier: int) -> NDArray[np.int64]:
     """Return the geoms (n,) that make contact by a `<pair>` only and are not fixed to `carrier`."""
     paired = np.unique([model.pair_geom1, model.pair_geom2]).astype(np.int64)
     silent = (model.geom_contype[paired] == 0) & (model.geom_conaffinity[paired] == 0)
-    return paired[silent & ~_on(model, carrier)[paired]]
+    return paired[silent & ~_is_fixed_to(model, carrier)[paired]]
 
 
 def contact_notes(model: mujoco.MjModel, carrier: int) -> list[str]:
@@ -62,7 +62,7 @@ def contact_notes(model: mujoco.MjModel, carrier: int) -> list[str]:
     return notes
 
 
-def _on(model: mujoco.MjModel, carrier: int) -> NDArray[np.bool_]:
+def _is_fixed_to(model: mujoco.MjModel, carrier: int) -> NDArray[np.bool_]:
     """Return True for each geom (ngeom,) that is fixed to the body `carrier`."""
     welds = weld_bodies(model)
     return welds[model.geom_bodyid] == welds[carrier]
@@ -71,7 +71,7 @@ def _on(model: mujoco.MjModel, carrier: int) -> NDArray[np.bool_]:
 def _paired_with(model: mujoco.MjModel, carrier: int) -> NDArray[np.int64]:
     """Return the geoms (n,) without bits that have a `<pair>` with a geom of `carrier`."""
     pairs = np.array([model.pair_geom1, model.pair_geom2], np.int64).reshape(2, -1)
-    mine = _on(model, carrier)[pairs]
+    mine = _is_fixed_to(model, carrier)[pairs]
     others = pairs[::-1][mine & ~mine[::-1]]
     silent = (model.geom_contype[others] == 0) & (model.geom_conaffinity[others] == 0)
     return np.unique(others[silent])

@@ -25,9 +25,9 @@ def listed(data: mujoco.MjData) -> tuple[int, int, NDArray[np.int64]]:
         return 0, 0, _layout
     if not _layout[0]:  # the same for all models
         _layout[0] = dist.strides[0]
-        _layout[1:] = [_place(getattr(contact, name)) - _place(dist) for name in _FIELDS]
+        _layout[1:] = [_address(getattr(contact, name)) - _address(dist) for name in _FIELDS]
     return len(dist), ctypes.addressof(ctypes.c_char.from_buffer(dist[:1])), _layout  # type: ignore[arg-type]
 
 
-def _place(column: NDArray) -> int:
+def _address(column: NDArray) -> int:
     return column.__array_interface__["data"][0]

@@ -196,16 +196,16 @@ class ContactPoints:
         goals = _Goals(to, back, np.zeros(count, dtype=bool), np.full(count, np.inf))
         loads = None
         vertices = p_SV[self._interior]
-        for geom in self._about(vertices):
+        for geom in self._close_geoms(vertices):
             entry = self._shapes[geom]
             close = self._close_to(geom, vertices)
             if not len(close):
                 continue
             normal = self._upright[close].sum(axis=0)
             axes = contact_cells.axes_of(normal / np.linalg.norm(normal))
-            cells = self._seen_from(geom, vertices[close], axes, self._sizes[close])
+            cells = self._cells_in_geom(geom, vertices[close], axes, self._sizes[close])
             if geom in self._round:  # except for its ends
-                at_end = self._at_end(geom, cells)
+                at_end = self._rows_at_end(geom, cells)
                 close = close[at_end]
                 cells = cells.of(at_end)
             is_thin = geom in self._cores
@@ -235,7 +235,7 @@ class ContactPoints:
                 goals.back[touching] = -(self._sizes[touching] * back)[:, None] * axes[2]
         return goals
 
-    def _about(self, vertices: Array) -> list[int]:
+    def _close_geoms(self, vertices: Array) -> list[int]:
         """Return the geoms that may be close to one of the `vertices` (k, 3) m in S, by one
         ball."""
         data = self._data
@@ -264,7 +264,7 @@ class ContactPoints:
             return close[:0]
         return close
 
-    def _at_end(self, geom: int, cells: Cells) -> NDArray[np.int64]:
+    def _rows_at_end(self, geom: int, cells: Cells) -> NDArray[np.int64]:
         """Return the rows of the cells at an end of a cylinder, or beyond it."""
         extent = np.abs(cells.positions[:, 2]) + 2 * cells.sizes
         return np.flatnonzero(extent > self._model.geom_size[geom, 1])
@@ -351,7 +351,7 @@ class ContactPoints:
         data = self._data
         return (p_W - data.xpos[self._body]) @ data.xmat[self._body].reshape(3, 3)
 
-    def _seen_from(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> Cells:
+    def _cells_in_geom(self, geom: int, vertices: Array, axes: Array, sizes: Array) -> Cells:
         """Return the cells around `vertices` (k, 3) m in S, in the frame of the geom."""
         data = self._data
         R_WS = data.xmat[self._body].reshape(3, 3)

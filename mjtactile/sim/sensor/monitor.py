@@ -293,7 +293,9 @@ class SceneMonitor:
             if sensor.is_asleep or isinstance(sensor, QuasistaticSensor):
                 continue
             p_SV = None
-            for geom in self._over(sensor, self._geoms_of[index] if every else self._thin[index]):
+            for geom in self._geoms_over(
+                sensor, self._geoms_of[index] if every else self._thin[index]
+            ):
                 p_SV = sensor.p_SV if p_SV is None else p_SV
                 if self._cores[index].behind(
                     self._data, sensor.body_id, p_SV, int(geom), sensor.design.chamber.depth
@@ -301,7 +303,7 @@ class SceneMonitor:
                     return self._went_through(sensor, int(geom))
         return None
 
-    def _over(self, sensor: AnySensor, geoms: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _geoms_over(self, sensor: AnySensor, geoms: NDArray[np.int64]) -> NDArray[np.int64]:
         """Those of `geoms` whose balls reach into the sensor's opening, or behind it."""
         if not len(geoms):
             return geoms

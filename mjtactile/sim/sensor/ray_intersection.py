@@ -44,7 +44,7 @@ def entry_of(model: mujoco.MjModel, geom: int, maximum: int | None = None) -> En
     return None
 
 
-def _between(enters: Array, leaves: Array) -> Array:
+def _entry_distance(enters: Array, leaves: Array) -> Array:
     return np.where(enters < leaves, enters, MISSED)
 
 
@@ -59,7 +59,7 @@ def _polytope(normals: Array, offsets: Array) -> Entry:
         outside = ((np.abs(along) <= _TINY) & (room < 0)).any(axis=1)
         enters = np.where(along < -_TINY, at, -np.inf).max(axis=1)
         leaves = np.where(along > _TINY, at, np.inf).min(axis=1)
-        return np.where(outside, MISSED, _between(enters, leaves))
+        return np.where(outside, MISSED, _entry_distance(enters, leaves))
 
     return entry
 
@@ -95,7 +95,7 @@ def _cylinder(radius: float, half: float) -> Entry:
         enters = np.where(inside, -np.inf, enters)
         leaves = np.where(inside, np.inf, leaves)
         first, last = _slab(points[:, 2], directions[:, 2], half)
-        return _between(np.maximum(enters, first), np.minimum(leaves, last))
+        return _entry_distance(np.maximum(enters, first), np.minimum(leaves, last))
 
     return entry
 

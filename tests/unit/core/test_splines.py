@@ -45,7 +45,7 @@ def test_monotone_interpolation():
         x = np.cumsum(RNG.uniform(0.1, 1, 6))
         y = RNG.normal(size=6).round(int(RNG.integers(0, 3)))
         at = float(RNG.uniform(x[0], x[-1]))
-        assert analytical_solutions._between(x, y, at) == pytest.approx(
+        assert analytical_solutions._monotone_cubic(x, y, at) == pytest.approx(
             float(PchipInterpolator(x, y)(at)), abs=1e-13
         )
 
