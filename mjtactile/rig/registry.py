@@ -66,7 +66,7 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
     name = requested.rig
     kind, _, argument = name.partition(":")
     file = None
-    if kind not in _loaded_backend(RIGS):
+    if kind not in _entry_points(RIGS):
         shipped = resources.names("models/rigs", ".toml")
         if "." not in name and "/" not in name and name not in shipped:
             raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
@@ -157,7 +157,7 @@ def rig_names() -> list[str]:
 
 def load_backend(group: str, name: str) -> Callable[..., Any]:
     """Load the backend `name` from the entry point `group`. Raises InputError."""
-    found = _loaded_backend(group)
+    found = _entry_points(group)
     if name not in found:
         raise InputError(f"no backend {name!r} is installed", field=group, choices=sorted(found))
     try:
@@ -168,7 +168,7 @@ def load_backend(group: str, name: str) -> Callable[..., Any]:
         ) from error
 
 
-def _loaded_backend(group: str) -> dict[str, EntryPoint]:
+def _entry_points(group: str) -> dict[str, EntryPoint]:
     return _installed(group, tuple(sys.path))
 
 

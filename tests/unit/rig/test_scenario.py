@@ -154,7 +154,7 @@ def test_a_backend_that_ignores_a_fingers_sensor_is_refused(monkeypatch):
     own = mjtactile.build_rig("sim")
     closed = []
     rig = replace(own, close=lambda: closed.append(True))
-    monkeypatch.setattr(registry, "_found", lambda group: {"theirs": None})
+    monkeypatch.setattr(registry, "_entry_points", lambda group: {"theirs": None})
     monkeypatch.setattr(registry, "load_backend", lambda group, name: lambda request: rig)
     assert mjtactile.build_rig(Scenario(rig="theirs", sensors={"left": "dense"})).name == rig.name
     with pytest.raises(InputError, match=r"sensors.left: the rig 'theirs' has the sensor 'dense'"):
