@@ -135,6 +135,14 @@ _KINDS = (
         Cadence.FAST,
     ),
     FlagKind(
+        "chatter",
+        "the normal force varies from step to step by more than 2 % and 5 mN (sd)",
+        "a face that slides to and fro: its vertices lose contact where it turns",
+        "a time step of 2 ms; slower motion",
+        Cadence.FAST,
+        grows=True,
+    ),
+    FlagKind(
         "frame_contact",
         "the frame carries more than 0.2 N, which no marker shows",
         "contact outside the membrane",

@@ -251,14 +251,14 @@ int64_t touched_curvatures(int64_t contacts, int64_t list, const int64_t *layout
                            const double *axes /* geoms, 9 */, double end, double *out /* count */);
 /* Update friction and margins from MuJoCo's contacts with the spheres `first` to
    `first + count - 1`; return the number of contacts (sim/sensor/stiction.py). In and out: advance
-   `give` of the margins, `memory` of friction and shift in S, `states`, and mean speed and velocity of
-   the `slide`; unchanged without contact. Out: velocity of the `surface`. */
+   `give` of the margins, `memory` of friction and shift in S, `states`, and of the `slide` mean speed,
+   velocity, and the sum of all normal forces; unchanged without contact. Out: velocity of the `surface`. */
 int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /* 9 */, int64_t rows,
                         const double *force /* rows */, const double *kbip /* rows, 4 */, const double *softness /* rows */,
                         const double *velocity /* rows */, const double *travel /* rows */, const double *R_WS /* 9 */,
                         int64_t first, int64_t count, const double *settings /* 7 */, double *give /* count */,
                         double *memory /* count, 6 */, uint8_t *states /* count */, double *surface /* count, 3 */,
-                        double *slide /* 4 */);
+                        double *slide /* 5 */);
 
 /* Quasi-static membrane (quasistatic/). `numbers`, `law`: see quasistatic.h. The nodes
    (columns, rows) include those on the frame. `body`: obstacles, whose planes, triangles and height

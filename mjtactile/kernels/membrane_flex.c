@@ -273,7 +273,7 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, i
     const StictionSettings set = {settings[0], settings[1], settings[2], settings[3],
                                   settings[4], settings[5], settings[6]};
     int64_t found = 0, sliding = 0;
-    double *after = calloc(6 * count + 1, sizeof *after), *goal = calloc(count + 1, sizeof *goal), slip[3] = {0};
+    double *after = calloc(6 * count + 1, sizeof *after), *goal = calloc(count + 1, sizeof *goal), slip[3] = {0}, normal = 0;
     uint8_t *states_after = malloc(count + 1);
     int refused = 0, failed = !after || !goal || !states_after;
     double speed_after = failed ? 0 : slide_speed(contacts, list, layout, rows, velocity, first, count, states);
@@ -288,7 +288,7 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, i
             refused = 1;
             break;
         }
-        found++, states_after[v] = STICKS;
+        found++, states_after[v] = STICKS, normal += force[row];
         double depth = c.margin - c.dist;
         goal[v] = fmax(fmax(depth, 0), give[v] - fmax(depth - set.step * velocity[row], 0));
         if (c.dim < 3) continue;
@@ -329,7 +329,7 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, i
         }
     }
     if (found && !refused) {
-        slide[0] = speed_after;
+        slide[0] = speed_after, slide[4] = normal;
         for (int i = 0; i < 3; i++) slide[1 + i] = sliding ? slip[i] / sliding : 0;
         for (int64_t v = 0; v < count; v++) {
             give[v] += set.give * (goal[v] - give[v]);

@@ -283,6 +283,11 @@ class TactileSensor(BaseSensor):
             self._relaxing.settle(self.p_SV)
         self._follow()
 
+    @property
+    def chatter(self) -> tuple[float, float]:
+        """Standard deviation of the contact's normal force from step to step, and its mean, N."""
+        return self._stiction.chatter if self._stiction else (0.0, 0.0)
+
     def flags(self) -> Reasons:
         """Return flags for reduced accuracy of the present state; empty when there are none."""
         return validity_checks.membrane_flags(self.design, self.gauge_pressure, *self.stretches())

@@ -26,6 +26,9 @@ PENETRATION = 0.05  # maximum ratio of penetration to indentation
 _SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
 _FAST = 0.5  # maximum motion in a step, relative to the geom's size
 _FRAMED = 0.2  # force on frame or carrier over five checks, N
+# chatter over two checks: fraction of the force, and N
+_CHATTER = 0.02
+_MIN_CHATTER = 5e-3
 _NEAR = 0.05  # distance from the membrane's center, m
 _MIN_INDENTATION = 3e-4  # minimum indentation, m, for meaningful ratios to it
 _QS_RARE_PERIOD = 20  # period in checks, which are 0.1 s apart
@@ -86,8 +89,9 @@ class SceneMonitor:
         # force at the last checks, N
         self._framed = [deque([0.0] * 5, 5) for _ in sensors]
         self._bypassed = [deque([0.0] * 5, 5) for _ in sensors]
+        self._chattered = [deque([0.0] * 2, 2) for _ in sensors]  # the same of the chatter
         # by kind, the largest lasting force, N, and its text
-        self._unsensed: dict[str, tuple[float, str]] = {}
+        self._largest: dict[str, tuple[float, str]] = {}
         self._carriers = [carrier_geoms.carrier_geoms(model, data, sensor) for sensor in sensors]
         self._check_count = -1
         self._positions = self._geoms_in(sensors)
@@ -148,7 +152,7 @@ class SceneMonitor:
             flags |= sensor.flags() if is_slow_check else self._contact_flags(sensor)
             rows = contact_loads.on_membrane(self._data, sensor)[0]
             rows = rows[self._data.contact.exclude[rows] == 0]  # 1: near, but not touching
-            flags |= self._frame(index)
+            flags |= self._frame(index) | self._chatter(index)
             flags |= self._shapes(sensor, rows) if len(rows) else {}
             lasting = self._penetration(index, rows)
             if lasting > PENETRATION:
@@ -240,6 +244,23 @@ class SceneMonitor:
         ]
         return float(self._deep[index].min())
 
+    def _chatter(self, index: int) -> Reasons:
+        """Return a flag if sliding vertices have made the force rough over several checks."""
+        sensor = self._sensors[index]
+        if isinstance(sensor, QuasistaticSensor):
+            return {}
+        sd, force = sensor.chatter
+        self._chattered[index].append(sd if sd > max(_CHATTER * force, _MIN_CHATTER) else 0.0)
+        lasting = min(self._chattered[index])
+        if not lasting:
+            return {}
+        text = (
+            f"sliding vertices of sensor {sensor.prefix!r} lose contact: the normal force varies "
+            f"from step to step by {1e3 * lasting:.0f} mN (sd) of {force:.2f} N; a timestep of 2 "
+            "ms is steadier"
+        )
+        return {"chatter": self._largest_so_far("chatter", lasting, text)}
+
     def _frame(self, index: int) -> Reasons:
         """Return flags when a sensor's frame or carrier carries force over several checks."""
         sensor = self._sensors[index]
@@ -268,10 +289,14 @@ class SceneMonitor:
         for kind, (lasting, text) in texts.items():
             if lasting < _FRAMED:
                 continue
-            if lasting > self._unsensed.get(kind, (0.0, ""))[0]:
-                self._unsensed[kind] = lasting, text.format(lasting)
-            flags[kind] = self._unsensed[kind][1]
+            flags[kind] = self._largest_so_far(kind, lasting, text.format(lasting))
         return flags
+
+    def _largest_so_far(self, kind: str, lasting: float, text: str) -> str:
+        """Return the text of the flag's largest force so far, where `lasting`, N, is the latest."""
+        if lasting > self._largest.get(kind, (0.0, ""))[0]:
+            self._largest[kind] = lasting, text
+        return self._largest[kind][1]
 
     def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
         """Return the centers (g, 3) m of the geoms that can touch, in each sensor's frame."""

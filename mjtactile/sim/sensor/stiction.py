@@ -38,6 +38,9 @@ _ON_CONE = 0.999  # of the cone: the solver's tolerance
 _SLOWER = 0.9
 _LAPSE = 0.02  # time without any contact, s, after which the slide is forgotten
 _JOINS = 2  # as in kernels/membrane_flex.c
+_CHATTER_TIME = 0.04  # averaging time of the chatter, s
+_LANDING = 0.12  # time after the first contact, s, in which an impact changes the force
+_NOISE_GAIN = 6.0  # variance of the second difference of white noise, over that of the noise
 
 
 class Stiction:
@@ -82,9 +85,14 @@ class Stiction:
         # since sticking started, m
         self._memory = np.zeros((self._count, 6))
         self._states = np.zeros(self._count, np.uint8)
-        # mean speed and velocity (3,) in S of the sliding contacts, m/s
-        self._slide = np.zeros(4)
+        # mean speed and velocity (3,) in S of the sliding contacts, m/s; normal force, N
+        self._slide = np.zeros(5)
+        # normal forces of the last two updates, N; mean force, and variance from step to step
+        self._normal = (0.0, 0.0)
+        self._mean = 0.0
+        self._variance = 0.0
         self._touched = np.nan  # time of the last contact, s
+        self._landed = np.nan  # time of the first one, s
         self._belt = np.zeros((self._count, 3))
         fractions = (_SHIFT_FRACTION, _KEPT, _EXCESS, _ON_CONE, _GIVE_FRACTION, _SLOWER)
         settings = np.array([self._step, *fractions])
@@ -111,6 +119,7 @@ class Stiction:
         if time < before:  # the clock was reset
             self._forget()
         if self._data.ncon and self._take():
+            self._landed = time if self._empty else self._landed
             self._empty = False
             self._touched = time
         elif self._states.any() and time - self._touched < _LAPSE:
@@ -134,14 +143,31 @@ class Stiction:
         if not found:
             return False
         self._surface[:] = self._belt
+        self._follow_force(float(self._slide[4]))
         return True
+
+    def _follow_force(self, force: float) -> None:
+        """Update mean and chatter of the normal `force`, N. A sliding contact that loses and
+        regains vertices changes it in every step; a load changes it with a small curvature."""
+        last, before = self._normal
+        fraction = min(self._step / _CHATTER_TIME, 1.0)
+        slides = self._states.any() and self._time - self._landed > _LANDING
+        square = (force - 2 * last + before) ** 2 / _NOISE_GAIN if slides else 0.0
+        self._variance += fraction * (square - self._variance)
+        self._mean += fraction * (force - self._mean)
+        self._normal = (force, last)
+
+    @property
+    def chatter(self) -> tuple[float, float]:
+        """Standard deviation of the normal force from step to step, and its mean, N."""
+        return float(np.sqrt(self._variance)), self._mean
 
     def _lift(self) -> None:
         """Keep only the velocity of the slide, for an object that is lifted for a short time."""
         self._give[:] = 0
         self._memory[:] = 0
         self._states[:] = _JOINS
-        self._surface[:] = -self._slide[1:]
+        self._surface[:] = -self._slide[1:4]
 
     def _forget(self) -> None:
         if not self._empty:
@@ -150,4 +176,6 @@ class Stiction:
             self._states[:] = 0
             self._slide[:] = 0
             self._surface[:] = 0
+            self._normal = (0.0, 0.0)
+            self._mean = self._variance = 0.0
         self._empty = True
