@@ -25,7 +25,7 @@ def examine_rig(name: str | None, *, sensor: str = "dense", fix: bool = False) -
     if isinstance(rig, SimRigFile):
         from mjtactile.sim.doctor import examine_simulated
 
-        return examine_simulated(rig)
+        return examine_simulated(rig, sensor)
     from mjtactile.devices.doctor import examine
 
     return examine(name, sensor=sensor, fix=fix, check_view=fiducial_findings)

@@ -122,9 +122,9 @@ def flag(key: str, *, default: bool, about: str = "") -> Any:
     return entry(Flag(key=key, about=about), default)
 
 
-def file_path(key: str, *, shipped: bool = False, compare: bool = True, about: str = "") -> Any:
+def file_path(key: str, *, shipped: bool = False, compare: bool = True) -> Any:
     """A field that names another file, None where the key is left out; see `FilePath`."""
-    return entry(FilePath(key=key, shipped=shipped, about=about), None, compare=compare)
+    return entry(FilePath(key=key, shipped=shipped), None, compare=compare)
 
 
 def part(key: str, kind: type, *, default: Any = _REQUIRED, about: str = "") -> Any:

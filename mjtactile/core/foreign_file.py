@@ -9,12 +9,12 @@ from pathlib import Path
 from mjtactile.core.errors import InputError
 
 
-def read_text(path: Path, largest: int, content: str, field: str | None = None) -> str:
+def read_text(path: Path, largest: int, content: str) -> str:
     """Read a UTF-8 file as `read_bytes` does; a byte order mark is ignored.
 
     Raises UnicodeDecodeError if it is not UTF-8.
     """
-    return read_bytes(path, largest, content, field).decode("utf-8-sig")
+    return read_bytes(path, largest, content).decode("utf-8-sig")
 
 
 def read_bytes(path: Path, largest: int, content: str, field: str | None = None) -> bytes:

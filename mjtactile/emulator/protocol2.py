@@ -63,10 +63,9 @@ def unstuff(body: bytes) -> bytes:
     return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
-def encode(servo: int, instruction: int, parameters: bytes = b"", *, stuffed: bool = True) -> bytes:
-    """A whole packet."""
-    body = bytes([instruction]) + parameters
-    body = stuff(body) if stuffed else body
+def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Return a whole packet."""
+    body = stuff(bytes([instruction]) + parameters)
     packet = HEADER + bytes([servo]) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + fast_crc16(packet).to_bytes(2, "little")
 

@@ -21,8 +21,9 @@ def colour(series: int) -> str:
     return COLOURS[series % len(COLOURS)]
 
 
-def interval_bar(low: float, fraction: float, high: float, color: str, width: int = 220) -> str:
+def interval_bar(low: float, fraction: float, high: float, color: str) -> str:
     """Plot a fraction between 0 and 1 and its interval on a line."""
+    width = 220
     x0, x, x1 = (round(width * value, 1) for value in (low, fraction, high))
     return (
         f'<svg width="{width}" height="14" viewBox="0 0 {width} 14"><rect y="5" width="{width}" '

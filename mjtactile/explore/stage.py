@@ -54,13 +54,12 @@ class SimulatedStage:
         *,
         p_HO: Array,
         R_HO: Array,
-        mesh: tuple[int, int] = MESH,
         seed: int = 0,
         **world,
     ):
         self.design = design
         self.world = ObjectOnStageWorld(
-            design, ObjectOnStage(model, p_HO, R_HO), mesh=mesh, **world
+            design, ObjectOnStage(model, p_HO, R_HO), mesh=MESH, **world
         )
         # unknown offset of the object after it was turned upside down
         self._seat = _SEAT_SD * np.random.default_rng([seed, 32]).normal(size=3)

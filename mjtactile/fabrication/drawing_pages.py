@@ -166,11 +166,14 @@ def write_pdf(sheets: Sequence[PrintedPage]) -> bytes:
     return out.getvalue()
 
 
-def write_png(sheet: PrintedPage, half_x: float, half_y: float, dots_per_mm: float = 10.0) -> bytes:
+_DOTS_PER_MM = 10.0
+
+
+def write_png(sheet: PrintedPage, half_x: float, half_y: float) -> bytes:
     """Write the area within the half sizes, mm, around the page center as an image."""
     out = io.BytesIO()
     figure = _figure(PrintedPage(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
-    figure.savefig(out, format="png", dpi=25.4 * dots_per_mm, metadata={"Software": None})
+    figure.savefig(out, format="png", dpi=25.4 * _DOTS_PER_MM, metadata={"Software": None})
     return out.getvalue()
 
 

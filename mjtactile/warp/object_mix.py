@@ -46,11 +46,11 @@ class MixedObject:
 
 
 @lru_cache(maxsize=1)
-def random_mix(count: int = COUNT) -> tuple[MixedObject, ...]:
-    """Return the first `count` rigid random objects from `FIRST` on."""
+def random_mix() -> tuple[MixedObject, ...]:
+    """Return the first `COUNT` rigid random objects from `FIRST` on."""
     found: list[MixedObject] = []
     seed = FIRST
-    while len(found) < count:
+    while len(found) < COUNT:
         if random_object(seed).shape != "fruit":  # jointed
             grasped = load_object(f"random:{seed}")
             found.append(MixedObject(seed, grasped, read_spec(grasped).compile()))

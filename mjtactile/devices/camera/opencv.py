@@ -68,15 +68,8 @@ class OpenCvCamera:
     Raises DeviceError if it is missing, has another image size, or refuses a control.
     """
 
-    def __init__(
-        self,
-        config: CameraConfig,
-        *,
-        capture: Callable[[], Capture] | None = None,
-        clock: Callable[[], float] = scaled_clock.monotonic,
-    ):
+    def __init__(self, config: CameraConfig, *, capture: Callable[[], Capture] | None = None):
         self.config = config
-        self._clock = clock
         self.name = f"{config.finger} camera {config.source}"
         self.counters = CameraCounters()
         self._period = 1.0 / config.rate
@@ -110,7 +103,7 @@ class OpenCvCamera:
         if error is not None:
             raise DeviceError(f"{self.name}: {error}")
         assert image is not None
-        now = self._clock()
+        now = scaled_clock.monotonic()
         age = now - image.time
         unchanged = now - fresh
         maximum = _STALE_PERIODS * self._period + self.config.delay
@@ -220,7 +213,7 @@ class OpenCvCamera:
                 return
 
     def _accept(self, pixels: NDArray) -> None:
-        arrival = self._clock()
+        arrival = scaled_clock.monotonic()
         gray = cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
         if gray.shape != (self.config.height, self.config.width):
             self._fail(
@@ -266,7 +259,7 @@ class OpenCvCamera:
         return arrival
 
     def _no_image_reason(self) -> str:
-        silent = self._clock() - self.newest_time
+        silent = scaled_clock.monotonic() - self.newest_time
         load = os.getloadavg()[0]
         processors = os.cpu_count() or 1
         since = f" for {1e3 * silent:.0f} ms" if math.isfinite(silent) else ""

@@ -14,12 +14,10 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array, Surface
 from mjtactile.sensing.settings import DEFAULTS
-from mjtactile.sensing.surface.surface import GAUSS, GRID_STEP, check_markers, grid_of
+from mjtactile.sensing.surface.surface import GAUSS, check_markers, grid_of
 
 
-def reconstruct_delaunay(
-    design: SensorDesign, p_SM: ArrayLike, *, grid_step: float = GRID_STEP
-) -> Surface:
+def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike) -> Surface:
     """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
     `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers'
     pitch. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN."""
@@ -46,7 +44,7 @@ def reconstruct_delaunay(
     stretch = np.sqrt(1 + spline(*points, dy=1) ** 2 + spline(*points, dx=1) ** 2)
     area = float(along_y.weights @ stretch @ along_x.weights)
     volume = float(along_y.weights @ spline(*points) @ along_x.weights)
-    x, y = grid_of(frame, grid_step)
+    x, y = grid_of(frame)
     status = check_markers(len(p_SM), DEFAULTS.surface.markers_min)
     return Surface(x, y, spline(y, x), area, volume, np.nan, np.nan, status)
 

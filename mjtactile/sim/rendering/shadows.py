@@ -201,7 +201,7 @@ def irradiance(xy: Array, z: Array, p_SL: Array) -> Array:
     return down * np.maximum(facing, 0.0) / (to_x**2 + to_y**2 + down**2) ** 2
 
 
-def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> bool:
+def may_block(xy: Array, z: Array, p_SL: Array) -> bool:
     """Return True if the membrane's steepest slope exceeds the lowest ray (Eq. L2)."""
     along_x, along_y = (
         np.abs(np.diff(z, axis=a)) / (xy[1, 1, 1 - a] - xy[0, 0, 1 - a]) for a in (1, 0)
@@ -210,7 +210,7 @@ def may_block(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> b
         np.maximum(along_x[1:], along_x[:-1]), np.maximum(along_y[:, 1:], along_y[:, :-1])
     ).max()
     to_x, to_y, down = _towards(xy, z, p_SL)
-    return bool(steepest > (down / (np.hypot(to_x, to_y) + radius)).min())
+    return bool(steepest > (down / (np.hypot(to_x, to_y) + LED_RADIUS)).min())
 
 
 def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> Array:
@@ -236,14 +236,12 @@ def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> A
     return (minimum + down) / down * np.maximum(across, 2 * radius) / radius
 
 
-def wall_clearance(
-    frame: Frame, depth: float, xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS
-) -> Array:
+def wall_clearance(frame: Frame, depth: float, xy: Array, z: Array, p_SL: Array) -> Array:
     """Return the clearance over the frame's inner wall, down to the glass at `depth` m (Eq. L4)."""
     to_x, to_y, down = _towards(xy, z, p_SL)
     part = (z + depth) / down
     crossing = np.stack([xy[..., 0] + part * to_x, xy[..., 1] + part * to_y], axis=-1)
-    return edge_distance(frame, crossing) / (np.maximum(part, 1e-9) * radius)
+    return edge_distance(frame, crossing) / (np.maximum(part, 1e-9) * LED_RADIUS)
 
 
 def visible(clear: Array | Floats) -> Floats:

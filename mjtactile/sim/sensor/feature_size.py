@@ -78,12 +78,9 @@ def box_distances(
     return np.linalg.norm(np.maximum(np.abs(local) - box[3:], 0.0), axis=1)
 
 
-def smallest_feature(model: mujoco.MjModel, carrier: int = 0) -> tuple[float, str]:
+def smallest_feature(model: mujoco.MjModel) -> tuple[float, str]:
     """Return radius, m, and name of the smallest geom that can touch; infinite if there is none."""
-    found = [
-        (feature_radius(model, int(g)), name_of(model, int(g)))
-        for g in touching_geoms(model, carrier)
-    ]
+    found = [(feature_radius(model, int(g)), name_of(model, int(g))) for g in touching_geoms(model)]
     return min(found, default=(np.inf, ""))
 
 
