@@ -246,7 +246,7 @@ def test_camera_rays_meet_the_membrane_where_it_is():
     light = ShadowedLight(DENSE, lens)
     membrane = light._membrane
     z = membrane.heights(dented(6e-3, width=5e-3))
-    places = light._places(z, 4)
+    places = light._pixel_coordinates(z, 4)
     uv = optics.project(lens, np.dstack([membrane.xy, z + DOWN]))[4:-4, 4:-4]
     found = bilinear(places, (uv - 1.5) / 4)  # the middle of the first block of 4 px is at 1.5
     expected = np.stack(np.meshgrid(np.arange(41), np.arange(31)), axis=-1)[4:-4, 4:-4]
