@@ -286,7 +286,7 @@ def test_bad_input(capsys, options, words):
 def fewer_loads(monkeypatch):
     """Score a sensor at one of its three positions, with two of the balls, and with a coarse
     maximum force."""
-    monkeypatch.setattr(score_module, "_PLACES", score_module._PLACES[:1])
+    monkeypatch.setattr(score_module, "_POSITIONS", score_module._POSITIONS[:1])
     monkeypatch.setattr(score_module, "RADII", (4e-3, 12e-3))
     monkeypatch.setattr(score_module, "_HALVINGS", 3)
 
