@@ -66,8 +66,8 @@ truth "not set down": the run ended while the raised gripper held the object; "d
 a device was the cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
-"probability", "misfit" (mean square of the residuals over their sd), "area_mm2",
-"area_interval_mm2" of 68 %; a misfit above 2: of the pressure; "status"; null: no contact),
+"probability", "misfit" (mean square of the residuals over their sd), "curvatures_1_m",
+"curvatures_sd_1_m", "area_mm2", "area_interval_mm2" of 68 %; a misfit above 2: of the pressure; "status"; null: no contact),
 real_time_factor, frames, perception_ms_median, object, sensor,
 controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
@@ -310,7 +310,18 @@ def _contact_text(contact: dict[str, Any]) -> str:
         kind = f"kind unclear, explained by no model (nearest: {contact['kind']})"
     elif contact["probability"] < _CLEAR:
         kind = f"kind unclear, likeliest {kind}"
+    elif contact["kind"] == "smooth":
+        pairs = zip(contact["curvatures_1_m"], contact["curvatures_sd_1_m"], strict=True)
+        kind += ", radii " + " and ".join(_radius_text(*pair) for pair in pairs)
     return f"{kind}, area {contact['area_mm2']:.0f} mm2 (68 %: {low:.0f} to {high:.0f})"
+
+
+def _radius_text(curvature: float, sd: float) -> str:
+    """Return the radius of a curvature, 1/m, or its lower limit where it may be straight."""
+    if abs(curvature) > 2 * sd:
+        return f"{1e3 / curvature:.0f} mm"
+    largest = abs(curvature) + 2 * sd
+    return f"above {1e3 / largest:.0f} mm" if largest > 1 else "straight"
 
 
 def _print_summary(summary: dict[str, Any], out: Path) -> None:

@@ -61,13 +61,16 @@ def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str
 
 
 def _report(shape: ContactShape, held: Touch) -> dict[str, Any]:
-    """Return kind, probability, misfit, and area, mm^2, with its 68 % interval; unknown values are
-    NaN. The area of a shape that does not explain the image is that of the traction."""
+    """Return kind, probability, misfit, principal curvatures, 1/m, with their sd, and area, mm^2,
+    with its 68 % interval; unknown values are NaN. The area of a shape that does not explain the
+    image is that of the traction."""
     area = held.contact if shape.misfit > EXPLAINED and held.contact is not None else shape
     return {
         "kind": shape.kind,
         "probability": float(shape.probabilities.get(shape.kind, float("nan"))),
         "misfit": float(shape.misfit),
+        "curvatures_1_m": [float(one) for one in shape.curvatures],
+        "curvatures_sd_1_m": [float(one) for one in shape.curvatures_sd],
         "area_mm2": 1e6 * float(area.area),
         "area_interval_mm2": [1e6 * float(end) for end in area.area_interval],
         "status": str(shape.status),

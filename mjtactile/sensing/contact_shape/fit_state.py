@@ -42,7 +42,8 @@ class Data:
         m, since the rest reference."""
         markers = touch.markers
         assert markers is not None
-        sd = np.sqrt(markers.cov_p[:, 2, 2] + s.membrane_sd**2)
+        shear = 0.0 if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
+        sd = np.sqrt(markers.cov_p[:, 2, 2] + s.membrane_sd**2 + (s.shear_sd * shear) ** 2)
         common = np.column_stack([drift[0] * by_gas[markers.ids], np.full(len(sd), drift[1])])
         heights = markers.p_SM[:, 2] - raised[markers.ids]
         return cls(markers.ids, heights, _whitening(sd, common), touch.force_normal)

@@ -52,6 +52,12 @@ class ContactShapeSettings:
         "standard deviation of the marker height error of the quasi-static membrane, m",
         "bench quasistatic",
     )
+    shear_sd: float = number(
+        1.7e-4,
+        "standard deviation of the marker heights over the shear force, m/N: shear stretches one "
+        "side of the membrane, and the model has no friction",
+        "held balls, bottles and cylinders of 5 to 50 g: misfit near 1",
+    )
     mesh_spacing: float = number(
         1.25e-3,
         "vertex spacing of a simulated membrane, m; above the default, model errors grow",
