@@ -67,9 +67,9 @@ a device was the cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
 "probability", "misfit" (mean square of the residuals over their sd), "curvatures_1_m",
-"curvatures_sd_1_m", "area_mm2", "area_interval_mm2" of 68 %; a misfit above 2: of the pressure; "status"; null: no contact),
-real_time_factor, frames, perception_ms_median, object, sensor,
-controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
+"curvatures_sd_1_m", "area_mm2", "area_interval_mm2" of 68 %; a misfit above 2: of the
+pressure; "status"; null: no contact), real_time_factor, frames, perception_ms_median, object,
+sensor, controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
 conditions that reduce the accuracy of the simulation, by kind
 (docs/reference/status_and_flags.md); a "reason" if known.
