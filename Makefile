@@ -92,7 +92,7 @@ sanitize: $(VENV)/.test-ready  ## the kernels' tests, and chains with settings d
 
 venv: $(VENV)/.test-ready  ## the virtual environment with everything, for development
 
-# Three steps, each repeated when its inputs change: an empty environment, packages of a run, packages of the tests.
+# Steps, each repeated when its inputs change: an empty environment, packages of a run, packages of the tests.
 $(VENV)/bin/python:
 	@[ -n "$(PYTHON)" ] || { echo "make: no Python 3.11 or newer found; set PYTHON=/path/to/python" >&2; exit 2; }
 	@$(PYTHON) -m venv $(VENV) >/dev/null 2>&1 \
@@ -106,9 +106,15 @@ $(VENV)/.run-ready: requirements.lock pyproject.toml | $(VENV)/bin/python
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(VENV)/.test-ready: requirements-dev.lock $(VENV)/.run-ready
-	@echo "make: installing the locked test tools into $(VENV)"
+# Both are unpacked at the same time: each uses one processor. The last step adds what only another platform or Python needs.
+$(VENV)/.test-ready: requirements-dev.lock requirements.lock pyproject.toml | $(VENV)/bin/python
+	@$(MAKE) --no-print-directory -j2 $(VENV)/.run-ready $(VENV)/.tools-ready
 	@$(INSTALL) -r requirements-dev.lock
+	@touch $@
+
+$(VENV)/.tools-ready: requirements-dev.lock | $(VENV)/bin/python
+	@echo "make: installing the locked test tools into $(VENV)"
+	@grep -v '^-r ' requirements-dev.lock | $(INSTALL) --no-deps -r /dev/stdin
 	@touch $@
 
 $(VENV)/.docs-ready: requirements-docs.lock $(VENV)/.test-ready
