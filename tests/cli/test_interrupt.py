@@ -16,10 +16,7 @@ GRASP += ["--workers", "1"]  # a process that the signal must end, too
 WAIT = 600  # time limit for the start of the run on a heavily loaded computer, s
 
 
-@pytest.mark.parametrize(
-    "stop", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
-)
-def test_what_was_recorded_is_kept(tmp_path, stop):
+def test_what_was_recorded_is_kept(tmp_path):
     process = subprocess.Popen(
         [*GRASP, "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -30,7 +27,7 @@ def test_what_was_recorded_is_kept(tmp_path, stop):
     ):
         assert process.poll() is None, process.communicate()[1]
         time.sleep(0.05)
-    process.send_signal(stop)
+    process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate(timeout=WAIT)
     assert process.returncode == 3
     assert stderr.strip().splitlines()[-1] == "mjtactile: interrupted" and "Traceback" not in stderr

@@ -47,12 +47,7 @@ TIMES = {
 }
 EACH_SECOND = (1.02, 1.02)
 PHASES = ("connecting", "references", "approach", "regulate", "lift", "hold", "lower", "release")
-SOME = [
-    (INT, "twice, 30 ms", "hold"),
-    (HUP, "six", "lift"),
-    (XCPU, "each second", "hold"),
-    (INT, "twice, 50 ms", "connecting"),
-]
+SOME = [(HUP, "six", "lift"), (XCPU, "each second", "hold"), (INT, "twice, 50 ms", "connecting")]
 ALL = os.environ.get("MJTACTILE_SIGNALS") == "all"
 # a repetition of these signals does not request a faster stop
 REPEATED = itertools.product((XCPU, signal.SIGALRM, signal.SIGUSR1), ("each second",), PHASES)

@@ -189,8 +189,8 @@ def test_a_stand_that_blocks_the_jaws_is_the_reason(tmp_path):
     (tmp_path / "quick.py").write_text(controller_text(hold=0.1))
     scenario = Scenario(
         object=str(tube),
-        sensor="paper16",
-        effects="-images",
+        sensor="dense",
+        effects="-mesh,-pipeline",
         controller=str(tmp_path / "quick.py"),
         time_limit=20.0,
     )

@@ -37,7 +37,7 @@ def test_a_pad_behind_the_membrane_is_named_in_the_flags_of_the_grasp(tmp_path):
         object="pebble",
         rig=str(tmp_path / "padded.toml"),
         controller=str(tmp_path / "hard.py"),
-        effects="-images",
+        effects="-mesh,-pipeline",
     )
     with contextlib.suppress(MjtactileError):  # it may stop safely
         run_grasp(scenario, [watching])
