@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import math
 import tempfile
+import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,67 +76,153 @@ def on_the_cpu(scenario: Scenario) -> Grasp:
     return Grasp(actions, force, line["outcome"])
 
 
-def pairs(name: str, count: int, device: str, workers: int) -> tuple[dict[str, Any], Array]:
-    """Return the agreement of `count` grasps, and the actions (steps, 3) of the first one."""
-    mix = random_mix()
-    with tempfile.TemporaryDirectory() as folder:
-        randomization = str(_one_size(Path(folder)))
-        scenarios = [
-            Scenario(
-                object=f"random:{mix[seed % len(mix)].seed}" if name == RANDOM else name,
-                seed=seed,
-                controller="gentle",
+def commands_of(name: str) -> Array:
+    """Return the actions (steps, 3) of the first grasp of an object."""
+    how: Any = {"controller": "gentle", "randomization": "default", "effects": "-mesh,-pipeline"}
+    return on_the_cpu(Scenario(object=name, seed=SEED, **how)).actions
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Grasp of a seed on the CPU and on the device: outcomes, and mean forces in the hold, N.
+
+    Forces are None for a grasp without a hold.
+    """
+
+    object: str
+    seed: int
+    cpu: str
+    device: str
+    cpu_force: float | None
+    device_force: float | None
+
+
+class PairedGrasps:
+    """Grasps of one object on the CPU and on a device, in batches.
+
+    Each batch is written to `file`. Pairs that it contains are not run again; a new file is needed
+    after a change of the code.
+    """
+
+    def __init__(self, name: str, device: str, file: Path, *, batch: int, workers: int):
+        self._name, self._device, self._file = name, device, file
+        self._batch, self._workers = batch, workers
+        self._mix = random_mix() if name == RANDOM else ()
+        self.done = {pair.seed: pair for pair in _read(file) if pair.object == name}
+
+    def run(
+        self, count: int, *, seconds: float = math.inf, notify: Callable[[str], None]
+    ) -> dict[str, Any]:
+        """Run up to `count` pairs; no batch starts after `seconds` s. Return the agreement."""
+        start = time.monotonic()
+        first = range(SEED, SEED + count, self._batch)
+        missing = [seed for seed in first if not self._has(seed)]
+        if not missing:
+            return agreement(self._name, list(self.done.values()))
+        with tempfile.TemporaryDirectory() as folder:
+            randomization = str(_one_size(Path(folder)))
+            many = gymnasium.make_vec(
+                NAME,
+                self._batch,
+                vectorization_mode="vector_entry_point",
+                autoreset_mode="Disabled",
+                device=self._device,
+                object=self._name,
                 randomization=randomization,
-                effects="-mesh,-pipeline",
             )
-            for seed in range(SEED, SEED + count)
+            for seed in missing:
+                if time.monotonic() > start + seconds:
+                    break
+                self._run_batch(many, seed, randomization)
+                notify(f"gpu: {len(self.done)} of {count} pairs with {self._name!r}")
+            many.close()
+        return agreement(self._name, list(self.done.values()))
+
+    def _has(self, first: int) -> bool:
+        return all(seed in self.done for seed in range(first, first + self._batch))
+
+    def _run_batch(self, many: Any, first: int, randomization: str) -> None:
+        seeds = range(first, first + self._batch)
+        scenarios = [self._scenario(seed, randomization) for seed in seeds]
+        if self._workers > 1:
+            with ProcessPoolExecutor(self._workers) as pool:
+                grasps = list(pool.map(on_the_cpu, scenarios))
+        else:
+            grasps = [on_the_cpu(scenario) for scenario in scenarios]
+        outcomes, forces = _replayed(many, grasps, first)
+        rows = zip(seeds, grasps, outcomes, forces, strict=True)
+        found = [
+            Pair(self._name, seed, one.outcome, str(outcome), _known(one.held_force), _known(force))
+            for seed, one, outcome, force in rows
         ]
-        with ProcessPoolExecutor(workers) as pool:
-            grasps = list(pool.map(on_the_cpu, scenarios))
-        outcomes, forces = _replayed(name, grasps, device, randomization)
-    there = np.array([grasp.outcome for grasp in grasps])
-    difference = np.abs(forces - [grasp.held_force for grasp in grasps])
-    difference = difference[np.isfinite(difference)]
-    row = {
+        self.done |= {pair.seed: pair for pair in found}
+        with self._file.open("a", encoding="utf-8") as lines:
+            lines.writelines(json.dumps(asdict(pair)) + "\n" for pair in found)
+
+    def _scenario(self, seed: int, randomization: str) -> Scenario:
+        name = self._name
+        if name == RANDOM:
+            name = f"random:{self._mix[seed % len(self._mix)].seed}"
+        return Scenario(
+            object=name,
+            seed=seed,
+            controller="gentle",
+            randomization=randomization,
+            effects="-mesh,-pipeline",
+        )
+
+
+def agreement(name: str, done: Sequence[Pair]) -> dict[str, Any]:
+    """Return the agreement of pairs; `different` are seeds and outcomes of those that differ."""
+    difference = np.array(
+        [
+            abs(pair.device_force - pair.cpu_force)
+            for pair in done
+            if pair.cpu_force is not None and pair.device_force is not None
+        ]
+    )
+    return {
         "object": name,
-        "pairs": count,
-        "same_outcome": float(np.mean(outcomes == there)),
-        "held_cpu": int((there == "held").sum()),
-        "held": int((outcomes == "held").sum()),
-        "outcomes": [[str(a), str(b)] for a, b in zip(there, outcomes, strict=True) if a != b],
+        "pairs": len(done),
+        "same_outcome": float(np.mean([pair.cpu == pair.device for pair in done])),
+        "held_cpu": sum(pair.cpu == "held" for pair in done),
+        "held": sum(pair.device == "held" for pair in done),
+        "different": [[p.seed, p.cpu, p.device] for p in done if p.cpu != p.device],
         "force_difference_median_N": float(np.median(difference)) if len(difference) else None,
         "force_difference_p95_N": float(np.quantile(difference, 0.95)) if len(difference) else None,
     }
-    return row, grasps[0].actions
 
 
-def _replayed(
-    name: str, grasps: list[Grasp], device: str, randomization: str
-) -> tuple[Array, Array]:
+def _read(file: Path) -> list[Pair]:
+    """Return the pairs of a file; a line cut off by an interruption is ignored."""
+    if not file.exists():
+        return []
+    found = []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        with contextlib.suppress(json.JSONDecodeError):
+            found.append(Pair(**json.loads(line)))
+    return found
+
+
+def _known(force: float) -> float | None:
+    return float(force) if np.isfinite(force) else None
+
+
+def _replayed(many: Any, grasps: Sequence[Grasp], first: int) -> tuple[Array, Array]:
     """Return the outcomes (n,) and mean forces in the hold (n,), N, of the same actions."""
     count = len(grasps)
-    many = gymnasium.make_vec(
-        NAME,
-        count,
-        vectorization_mode="vector_entry_point",
-        autoreset_mode="Disabled",
-        device=device,
-        object=name,
-        randomization=randomization,
-    )
-    many.reset(seed=SEED)
+    many.reset(seed=first)
     outcomes, forces = np.full(count, "", object), np.full(count, np.nan)
     for step in range(_STEPS):
-        actions = np.stack([grasp.actions[step] for grasp in grasps]).astype(np.float32)
+        actions = np.stack([one.actions[step] for one in grasps]).astype(np.float32)
         _, _, terminated, truncated, _ = many.step(actions)
         is_first = (np.asarray(terminated) | np.asarray(truncated)) & (outcomes == "")
         if is_first.any():
-            truth = many.unwrapped.truth()  # pyright: ignore[reportAttributeAccessIssue]
+            truth = many.unwrapped.truth()
             outcomes[is_first] = truth["outcome"][is_first]
             forces[is_first] = truth["hold_force_true_N"][is_first]
         if (outcomes != "").all():
             break
-    many.close()
     return outcomes, np.where(forces > 0, forces, np.nan)
 
 

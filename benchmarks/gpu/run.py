@@ -6,6 +6,7 @@ most eight minutes, compilation included: after `_LIMIT` seconds no further part
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,14 +16,18 @@ import gymnasium
 import numpy as np
 
 import mjtactile.gym  # noqa: F401  # registers the environment
-from benchmarks.gpu.pairs import NAME, RANDOM, SEED, pairs
+from benchmarks.gpu.linear_solver import stop_at_convergence
+from benchmarks.gpu.pairs import NAME, RANDOM, SEED, PairedGrasps, commands_of
 from benchmarks.gpu.presses import KINDS, press_objects, press_table
 from benchmarks.gpu.tactile_sensor import speeds
 from mjtactile.core import platform_support
 from mjtactile.core.types import Array
 
-PAIRS = {True: 400, False: 50}
+PAIRS = {True: 400, False: 48}
 """Paired episodes of random objects, with and without a GPU."""
+BATCH = {True: 400, False: 8}
+"""Pairs that are replayed at once."""
+PAIRS_FILE = "gpu-pairs.jsonl"
 PRESSES = {True: 8, False: 60}
 """Random presses of each kind of object, in a quick run and else."""
 WORLDS = (4096, 16384, 1024)
@@ -43,7 +48,7 @@ def run(
     """Measure agreement and, on a GPU, speed, memory and failures.
 
     Args:
-        out: Folder, unused.
+        out: Folder of PAIRS_FILE. An interrupted run continues with the pairs that it lacks.
         quick: Two pairs of episodes, and the smallest number of worlds.
         notify: Receiver of progress messages.
 
@@ -58,13 +63,19 @@ def run(
     start = time.monotonic()
     result: dict[str, Any] = {"device": device.name, "is_gpu": device.is_cuda, "skipped": []}
     processors = platform_support.processors()
-    notify("gpu: a pair of episodes with 'egg'")
-    row, commands = pairs("egg", 2 if quick else 4, str(device), processors)
-    result["pairs"] = [row]
-    parts = _speed_parts(commands, str(device), quick) if device.is_cuda else []
+    how: dict[str, Any] = {"device": str(device), "file": out / PAIRS_FILE, "workers": processors}
+    parts = []
+    if device.is_cuda:
+        parts = _speed_parts(commands_of("egg"), str(device), quick)
+
+    def paired(name: str, count: int, batch: int) -> dict[str, Any]:
+        return PairedGrasps(name, batch=batch, **how).run(count, notify=notify)
+
+    eggs = 2 if quick else 4
+    parts.insert(0, ("pairs", lambda: paired("egg", eggs, eggs)))
     if not quick:
-        count = PAIRS[device.is_cuda]
-        parts.insert(1, ("pairs", lambda: pairs(RANDOM, count, str(device), processors)[0]))
+        count, batch = PAIRS[device.is_cuda], BATCH[device.is_cuda]
+        parts.insert(2, ("pairs", lambda: paired(RANDOM, count, batch)))
     parts += [
         ("presses", lambda kind=kind: press_objects(kind, PRESSES[quick], str(device)))
         for kind in KINDS
@@ -74,7 +85,8 @@ def run(
             result["skipped"].append(name)
             continue
         notify(f"gpu: {name}")
-        result.setdefault(name, []).append(measure())
+        with contextlib.nullcontext() if device.is_cuda else stop_at_convergence():
+            result.setdefault(name, []).append(measure())
     result["seconds"] = time.monotonic() - start
     return result
 
