@@ -265,12 +265,12 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout /*
    fields are in `pool`.
 
    Compute the heights of the obstacles' lower sides over `places`; infinite where there is none. */
-int64_t qs_obstacle_heights(const double *numbers /* 19 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
+int64_t qs_obstacle_heights(const double *numbers /* 20 */, int64_t bodies, const double *body /* bodies, 20 */, int64_t pooled,
                      const double *pool /* pooled or NULL */, int64_t count, const double *places /* count, 2 */,
                      double *out /* count */);
 /* Compute the band of the Cholesky `factor` of the stiffness at displacements `x`, over a gas with
    constant `pressure`. The unknowns x, y and height of a node are together. */
-int64_t qs_stiffness(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t qs_stiffness(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                        const double *x /* 3, columns, rows */, double pressure, int64_t roomy, double *room /* roomy */,
                        double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */);
 /* Compute the in-plane displacements due to in-plane unit forces with that factor: x and y of each
@@ -279,19 +279,19 @@ int64_t qs_compliance(int64_t columns, int64_t rows,
                         const double *factor /* 3 * (columns - 2) * (rows - 2), BAND_STRIDE(3 * rows - 1) */, int64_t roomy,
                         double *room /* roomy */,
                         double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */);
-int64_t qs_workspace_size(const double *numbers /* 19 */); /* number of doubles of `room` for a solution */
+int64_t qs_workspace_size(const double *numbers /* 20 */); /* number of doubles of `room` for a solution */
 /* number of floats of `kept`, shared by all solutions of a membrane */
-int64_t qs_factors_size(const double *numbers /* 19 */);
+int64_t qs_factors_size(const double *numbers /* 20 */);
 /* Compute `kept`: factors of the membrane's stiffness without contact, in the plane and of the
    heights, at displacements `x`. */
-int64_t qs_factorize(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t qs_factorize(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                   const double *x /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t keeping,
                   float *kept /* keeping */);
 /* Find the equilibria of environments `start` to `end` - 1, each with `settings`
    (see qs_workspace.h) and obstacles. In and out: displacements `x` and contact forces `force`
    along -z, from the start to the equilibrium; `trend`, the previous change of both, replaced by
    the present one. Out: `found`, see qs_workspace.h. */
-int64_t qs_solve(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows,
+int64_t qs_solve(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
                    int64_t start, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
@@ -300,7 +300,7 @@ int64_t qs_solve(const double *numbers /* 19 */, const double *law /* 11 */, int
 /* Find the equilibria of those `environments` that no thread has taken yet. `next` counts them for
    all threads; each thread has its own `room`. The start is `from_...`, or the state without
    contact if that is NULL or did not converge. */
-int64_t qs_solve_batch(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t qs_solve_batch(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                    const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                    double *room /* roomy */, int64_t environments, int64_t *next /* 1 */,
                    const double *settings /* environments, 6 */, int64_t bodies, const double *body /* environments, bodies, 20 */,
@@ -318,7 +318,7 @@ int64_t qs_solve_batch(const double *numbers /* 19 */, const double *law /* 11 *
    sticking stiffness `grip` and sliding of each patch. `touched`: patches (plus one) of the nodes at
    the last sticking stiffness and at the last solution, then workspace. `before`: x and y of that
    solution, then workspace. */
-int64_t qs_follow(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t qs_follow(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
@@ -369,12 +369,12 @@ int64_t sample_errors(int64_t loads, const double *load /* loads */, const doubl
                     const double *spread /* 6, 6 */, const double *reported_correlation /* 6, 6 */, const double *settings /* 5 */,
                     const double *outlier_size /* 6 */, const double *normals /* 12 */, const double *wrench /* 6 */, double *slow /* 6 */, double *row /* 30 */,
                     double *estimated /* 6 */, double *cov /* 6, 6 */);
-int64_t qs_sensitivities_size(const double *numbers /* 19 */);
+int64_t qs_sensitivities_size(const double *numbers /* 20 */);
 /* Compute the derivatives of an equilibrium `x`, `force` by `changes` of its obstacles. `body`: the
    present obstacles, then those after each change, by `steps`. Out: derivatives of displacements,
    forces and the results of qs_solve. Returns 1 if the membrane is not in equilibrium on these
    obstacles. */
-int64_t qs_sensitivities(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
+int64_t qs_sensitivities(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 6 */, int64_t bodies, int64_t changes,
                     const double *body /* 1 + changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
@@ -382,7 +382,7 @@ int64_t qs_sensitivities(const double *numbers /* 19 */, const double *law /* 11
                     double *by_force /* changes, columns, rows */, double *by_detection /* changes, 14 */);
 /* Approximate qs_sensitivities for heights and forces only, at a fifth of the cost: by a height step of
    the solver, without in-plane displacements. */
-int64_t qs_approximate_sensitivities(const double *numbers /* 19 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
+int64_t qs_approximate_sensitivities(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, int64_t roomy, double *room /* roomy */, const double *settings /* 6 */,
                     int64_t bodies, int64_t changes, const double *body /* 1 + changes, bodies, 20 */, int64_t pooled,
                     const double *pool /* pooled or NULL */, const double *steps /* changes */, const double *x /* 3, columns, rows */,

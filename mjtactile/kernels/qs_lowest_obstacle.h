@@ -18,7 +18,7 @@ static inline long lowest_of(const Membrane *f, const Bodies *bodies, double x, 
         if (faces) next += qs_faces_of(one);
         if (square(x - one->p[0]) + square(y - one->p[1]) > square(one->reach + f->numbers.half_thickness)) continue;
         const int off = faces ? qs_faces_height(f, one, faces, x, y, &at, by) : qs_obstacle_height(f, one, bodies->pool, x, y, &at, by);
-        if (off || at >= found) continue;
+        if (off || at >= found || at > f->numbers.roof) continue;
         found = at, which = b, slope[0] = by[0], slope[1] = by[1];
     }
     *height = found;

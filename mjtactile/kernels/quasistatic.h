@@ -24,6 +24,9 @@ typedef struct {
     double chamber_flat, ambient, polytropic_exponent;
     /* half thickness of the membrane, and depth of the chamber behind it, m */
     double half_thickness, depth;
+    /* height that the membrane does not reach, m. An obstacle beyond is not over a node: an edge in
+       front of it is an edge. */
+    double roof;
     double opening;                          /* area of the frame's opening, m^2 */
     double cut; /* address of the cells that an outline cuts (qs_cut_cells.h); 0: rectangle */
 } MembraneNumbers;

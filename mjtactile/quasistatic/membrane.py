@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -42,6 +43,10 @@ TOLERANCE = 5e-7  # tolerance of the displacements, m
 _MAX_STEPS = 40
 _MIXED_AREA = 1.05
 """Area ratio of the tension's slope; steps depend on it, results do not."""
+_ROOF = -3  # index in the constants
+# height that a membrane does not reach, over that of its rest or over the frame's shorter side
+_ROOF_OF_REST = 3.0
+_ROOF_OF_SIDE = 0.25
 
 
 @validated()
@@ -50,8 +55,8 @@ class QuasistaticMembrane:
 
     The object holds no state: `solve` takes one and returns one. `x` (nx,) and `y` (ny,), m, are
     the node positions on the mounted flat membrane. They include those on the frame. `spacing` is
-    the larger of the two spacings. `rest` is the equilibrium without contact. Nodes outside a
-    non-rectangular outline are fixed.
+    the larger of the two spacings. `rest` is the equilibrium without contact. Obstacles higher than
+    `roof` m are out of reach. Nodes outside a non-rectangular outline are fixed.
     """
 
     def __init__(
@@ -90,7 +95,7 @@ class QuasistaticMembrane:
         tensions = (tension_slope(rubber, _MIXED_AREA), rubber.young * rubber.thickness)
         gas = (design.chamber_volume_flat, chamber.ambient, chamber.polytropic_exponent)
         sides = (frame.length, frame.width)
-        depths = (rubber.thickness / 2, chamber.depth)
+        depths = (rubber.thickness / 2, chamber.depth, math.inf)
         stretch = rubber.pre_stretch**2
         self.spacing = max(float(line[1] - line[0]) for line in (self.x, self.y))
         self._cut, opening = cut_grid(frame, self.x, self.y)
@@ -105,6 +110,8 @@ class QuasistaticMembrane:
         self._finer: dict[float, QuasistaticMembrane] = {}  # those that were asked for
         self._bind()
         self.rest = inflate(self)
+        self.roof = max(_ROOF_OF_REST * float(self.rest.x[2].max()), _ROOF_OF_SIDE * min(sides))
+        self._constants[_ROOF] = self.roof
         self._rest[:] = self.rest.x
         absolute = self.gauge_pressure + chamber.ambient
         volume = design.chamber_volume_flat + self.rest.volume

@@ -146,7 +146,7 @@ def _membrane(membrane: QuasistaticMembrane) -> Any:
     rubber.modulus, rubber.poisson = float(constants[6]), float(constants[7])
     rubber.law_middle, rubber.law_per_unit = float(constants[8]), float(constants[9])
     rubber.half_thickness = membrane.design.membrane.thickness / 2
-    rubber.depth = membrane.design.chamber.depth
+    rubber.depth, rubber.roof = membrane.design.chamber.depth, membrane.roof
     rubber.law = wp.array(membrane._law.astype(np.float32), dtype=float)
     rubber.opening = float(constants[-2])
     rubber.cut, nodes = cut_cells(membrane)

@@ -45,6 +45,7 @@ class MembraneGrid:
     `law` holds the coefficients of X2. `free` is 1 at nodes that move, 0 on the frame next to them,
     -1 beyond. `stencil` is the in-plane stiffness of the membrane at rest (see `stencil.py`).
     `rest` (3, N) are its displacements. `opening` m^2 is the area of the flat membrane.
+    Obstacles above `roof` m are not over a node: the membrane does not reach them.
     """
 
     nx: int
@@ -59,6 +60,7 @@ class MembraneGrid:
     law_per_unit: float
     half_thickness: float
     depth: float
+    roof: float
     opening: float
     law: wp.array(dtype=float)
     free: wp.array(dtype=int)

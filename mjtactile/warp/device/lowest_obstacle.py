@@ -53,7 +53,7 @@ def lowest(
         geom = geoms[f, g]
         if geom.kind >= 0:
             found = obstacle_height(geom, pool, membrane.half_thickness, x, y)
-            if found[0] < best[0]:
+            if found[0] < best[0] and found[0] < membrane.roof:
                 best = wp.vec4(found[0], found[1], found[2], float(g))
     return best
 

@@ -207,6 +207,17 @@ def test_bodies_far_apart_press_as_each_alone_but_for_the_gas(quasistatic):
     assert both.wrench[4] == pytest.approx(0, abs=1e-5)  # by symmetry, N m
 
 
+@pytest.mark.parametrize("behind", [0.01, 0.03, 1.0])
+def test_a_wall_behind_a_block_changes_nothing(quasistatic, behind):
+    """The wall is over the nodes beyond the block's edges, out of the membrane's reach."""
+    block = quasistatic.obstacle("box", (0.004, 0.006, 0.003), (0.001, 0.0, 0.0045))
+    wall = quasistatic.obstacle("box", (0.5, 0.5, 0.1), (0.0, 0.0, 0.1 + behind))
+    alone = quasistatic.solve(block)
+    both = quasistatic.solve([block, wall])
+    assert alone.force_normal > 0.2
+    assert both.force_normal == pytest.approx(alone.force_normal, rel=1e-9)
+
+
 def test_cones_and_wedges_press_the_deeper_the_harder(quasistatic):
     for kind, sizes in (("cone", (6e-3, 6e-3)), ("wedge", (5e-3, 3e-3, 5e-3))):
         forces = [
