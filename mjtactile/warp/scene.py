@@ -20,9 +20,10 @@ from mjtactile.core.types import Array
 from mjtactile.plugin.attach import AttachedSensor
 from mjtactile.plugin.sim_finger import OUTPUTS
 from mjtactile.sim.sensor.effect_switches import Effect
+from mjtactile.sim.sensor.feature_size import name_of
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms
-from mjtactile.warp.device.obstacles import CONVEX, SUPPORTED
+from mjtactile.warp.device.obstacles import CONVEX, SPHERE, SUPPORTED
 from mjtactile.warp.device.update import SensorGeoms
 from mjtactile.warp.membranes import Iteration, Membranes
 from mjtactile.warp.touch import Touch
@@ -122,9 +123,10 @@ def _sensor_geoms(
     """Return the geoms and bodies that each finger may touch, and the planes of the convex ones."""
     from mjtactile.sim.sensor.quasistatic_geoms import membrane_of
 
-    top = float(membrane_of(design, grid).rest.x[2].max())
+    membrane = membrane_of(design, grid)
+    top = float(membrane.rest.x[2].max())
     radius = math.hypot(math.hypot(design.frame.length, design.frame.width) / 2, top) + 1e-3
-    found = [ContactGeoms(model, frame, radius) for frame in frames]
+    found = [ContactGeoms(model, frame, radius, fixed_to_world=True) for frame in frames]
     geoms = max(1, *(len(part.ids) for part in found))
     bodies = max(1, *(len(part.bodies) for part in found))
     tables = {
@@ -137,8 +139,10 @@ def _sensor_geoms(
         for k, geom in enumerate(part.ids):
             kind = int(model.geom_type[geom])
             if kind not in SUPPORTED:
-                name = model.geom(int(geom)).name or f"geom {geom}"
+                name = name_of(model, int(geom))
                 raise InputError(f"{name!r} has a shape that is not supported", source="bind")
+            if kind == SPHERE:
+                _require_ball(model, int(geom), membrane.spacing)
             tables["geoms"][i, k], tables["kinds"][i, k] = geom, kind
             tables["slots"][i, k] = part.slots[k]
             if kind == CONVEX:
@@ -148,7 +152,7 @@ def _sensor_geoms(
     for name, table in tables.items():
         setattr(sensor_geoms, name, wp.array(table, dtype=int))
     sensor_geoms.bodies = wp.array(listed, dtype=int)
-    sensor_geoms.rbound = m.geom_rbound
+    sensor_geoms.rbound, sensor_geoms.box = m.geom_rbound, m.geom_aabb
     sensor_geoms.radius = radius
     sensor_geoms.mesh = m.geom_dataid
     first, count = np.zeros((2, max(model.nmesh, 1)), np.int32)
@@ -158,6 +162,15 @@ def _sensor_geoms(
         first[mesh], count[mesh] = sum(len(rows) for rows in planes[:-1]), len(planes[-1])
     sensor_geoms.first, sensor_geoms.count = wp.array(first, dtype=int), wp.array(count, dtype=int)
     return sensor_geoms, np.concatenate(planes) if planes else np.zeros((1, 4))
+
+
+def _require_ball(model: mujoco.MjModel, geom: int, spacing: float) -> None:
+    """Raise InputError for a ball that is smaller than the nodes' spacing, m."""
+    radius = float(model.geom_size[geom, 0])
+    if radius < spacing:
+        text = f"is a ball of {1e3 * radius:.1f} mm radius; at least {1e3 * spacing:.1f} mm, the "
+        text += "spacing of the nodes, or contype=0: it then touches no membrane"
+        raise InputError(text, source="bind", field=name_of(model, geom))
 
 
 def _address(model: mujoco.MjModel, name: str) -> int:

@@ -130,6 +130,46 @@ def test_an_object_that_is_held_does_not_creep():
     assert np.abs(moved).max() < 0.5e-6  # 1 um/s
 
 
+WALL = """
+<mujoco>
+  <asset><mesh name="wedge" vertex="-.004 -.006 0 .004 -.006 0 -.004 .006 0 .004 .006 0 0 0 .01"/></asset>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 0.1" pos="0 0 {floor}" zaxis="0 0 -1"/>
+    <geom name="wedge" type="mesh" mesh="wedge" pos="0.001 0 {wedge}"/>
+    <geom name="far" type="box" size="0.3 0.3 0.1" pos="0 0.5 0"/>
+    <body name="hand"><joint type="slide" axis="0 0 1"/><site name="tip"/><geom size="0.001" contype="0" mass="1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("heights", [(0.0015, 1.0), (1.0, 0.0015)], ids=["plane", "mesh"])
+def test_a_sensor_that_moves_touches_what_is_fixed_to_the_world(heights):
+    """1 % of the force: the tolerances of both solvers. First contact has no shear on the CPU."""
+    model, tip = bound_to_hand(WALL.format(floor=heights[0], wedge=heights[1]))
+    data = mujoco.MjData(model)
+    with warnings.catch_warnings(action="ignore"):
+        finger = tip.bind(model, data)
+    mujoco.mj_forward(model, data)
+    finger.sensor.update()
+    expected = finger.ground_truth_wrench()
+    m, d, touch = worlds_of(model, tip, 1)
+    touch.sealed.zero_()  # as on the CPU, which seals the chamber in contact
+    touch.friction.zero_()
+    for _ in range(20):
+        mjw.forward(m, d)
+    assert touch.wrench.numpy()[0, 0] == pytest.approx(expected, rel=0.01, abs=2e-5)
+
+
+def bound_to_hand(text):
+    spec = mujoco.MjSpec.from_string(text)
+    mjtactile.configure_options(spec, STEP)
+    tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/", effects="-mesh")
+    model = spec.compile()
+    model.opt.disableflags = 0
+    return model, tip
+
+
 def test_what_cannot_be_bound_is_named():
     spec = mujoco.MjSpec.from_string(SCENE.format(**BOX))
     mjtactile.configure_options(spec, STEP)
@@ -140,3 +180,8 @@ def test_what_cannot_be_bound_is_named():
         mjtactile.warp.bind(model, None, None, [meshed])
     with pytest.raises(InputError, match="at least one sensor"):
         mjtactile.warp.bind(model, None, None, [])
+    bead = {"kind": "sphere", "size": "0.001", "x": 0.0, "z": 0.1, "mass": 0.01}
+    with pytest.raises(
+        InputError, match=r"geom 0 of object: is a ball of 1\.0 mm radius; at least"
+    ):
+        worlds_of(*scene(**bead), 1)

@@ -10,7 +10,7 @@ from mjtactile.warp.device.equilibrium import solve
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.lowest_obstacle import any_thin
-from mjtactile.warp.device.obstacles import CONVEX, Geom
+from mjtactile.warp.device.obstacles import CONVEX, PLANE, Geom
 from mjtactile.warp.device.relaxation import synchronize
 from mjtactile.warp.device.sticking import Sticking, about_center, grip_of, list_held
 
@@ -23,9 +23,10 @@ class SensorGeoms:
 
     `frames` (fingers,) are the sensors' MuJoCo bodies. `geoms` (fingers, geoms) are indices in the
     model, -1 if absent, `kinds` their kinds, `slots` the numbers of their bodies among `bodies`
-    (fingers, slots). `mesh` (1 or worlds, geoms of the model) is the mesh of a geom, `first` and
-    `count` (meshes,) its planes. `radius` m is that of a membrane. `outputs` (fingers, 3) are the
-    addresses of wrench, pressure and touching in `sensordata`, -1 if absent.
+    (fingers, slots), 0 for the world. `mesh` (1 or worlds, geoms of the model) is the mesh of a
+    geom, `first` and `count` (meshes,) its planes. `rbound` m and `box` are its bounding sphere and
+    box. `radius` m is that of a membrane. `outputs` (fingers, 3) are the addresses of wrench,
+    pressure and touching in `sensordata`, -1 if absent.
     """
 
     frames: wp.array(dtype=int)
@@ -37,6 +38,7 @@ class SensorGeoms:
     slots: wp.array2d(dtype=int)
     bodies: wp.array2d(dtype=int)
     rbound: wp.array2d(dtype=float)
+    box: wp.array3d(dtype=wp.vec3)
     outputs: wp.array2d(dtype=int)
     radius: float
 
@@ -110,6 +112,32 @@ class States:
 
 
 @wp.func
+def _is_near(
+    sensor_geoms: SensorGeoms, world: int, finger: int, k: int, g: int, at: wp.vec3, R: wp.mat33
+) -> bool:
+    """Return True if a geom at a pose in S may touch the membrane.
+
+    Planes and walls that are fixed to the world have large bounding spheres.
+    """
+    reach = sensor_geoms.radius
+    near = reach + sensor_geoms.rbound[world % sensor_geoms.rbound.shape[0], g]
+    found = wp.dot(at, at) < near * near
+    inside = wp.transpose(R) @ (-at)  # origin of S in the geom's frame
+    if sensor_geoms.kinds[finger, k] == PLANE:
+        found = inside[2] < reach
+    elif found and sensor_geoms.bodies[finger, sensor_geoms.slots[finger, k]] == 0:
+        row = world % sensor_geoms.box.shape[0]
+        middle = sensor_geoms.box[row, g, 0]
+        half = sensor_geoms.box[row, g, 1]
+        outside = float(0.0)
+        for c in range(3):
+            beyond = wp.max(wp.abs(inside[c] - middle[c]) - half[c], 0.0)
+            outside += beyond * beyond
+        found = outside < reach * reach
+    return found
+
+
+@wp.func
 def _place(
     sensor_geoms: SensorGeoms,
     geoms: wp.array2d(dtype=Geom),
@@ -129,12 +157,12 @@ def _place(
     geom.kind = -1
     if g >= 0:
         at = wp.transpose(R) @ (geom_xpos[world, g] - p)
-        near = sensor_geoms.radius + sensor_geoms.rbound[world % sensor_geoms.rbound.shape[0], g]
-        if sensor_geoms.kinds[finger, k] == 0 or wp.dot(at, at) < near * near:
+        R_SG = wp.transpose(R) @ geom_xmat[world, g]
+        if _is_near(sensor_geoms, world, finger, k, g, at, R_SG):
             geom.kind = sensor_geoms.kinds[finger, k]
             geom.size = size[world % size.shape[0], g]
             geom.p = at
-            geom.R = wp.transpose(R) @ geom_xmat[world, g]
+            geom.R = R_SG
             mesh = sensor_geoms.mesh[world % sensor_geoms.mesh.shape[0], g]
             if geom.kind == CONVEX:
                 if mesh < 0:
