@@ -75,7 +75,7 @@ def run_gentle(rig, folder, until="hold", on_images=lambda: None):
 
 
 @pytest.mark.slow(7)
-@pytest.mark.parametrize("name", SIMULATED)
+@pytest.mark.parametrize("name", SIMULATED[1:])  # examples lift it with the first
 def test_gentle_lifts_an_egg(name, tmp_path):
     rig = near_rig(name, seed=1)
     try:

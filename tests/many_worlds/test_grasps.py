@@ -85,13 +85,13 @@ def test_random_objects_in_one_batch_are_those_of_the_environment_on_the_cpu():
     Forces agree as with one object in all worlds: within 10 mN, at the box, whose edges are rounder
     than the spacing of the nodes, within 30 mN. Heights agree within 0.5 mm.
     """
-    many = worlds(4, object="random", autoreset_mode="Disabled")
-    many.reset(seed=11)
+    many = worlds(3, object="random", autoreset_mode="Disabled")
+    many.reset(seed=12)
     seeds = many.unwrapped.truth()["object_seed"]
-    assert [random_object(int(seed)).shape for seed in seeds] == ["bottle", "bottle", "box", "cone"]
+    assert [random_object(int(seed)).shape for seed in seeds] == ["bottle", "box", "cone"]
     how = {"effects": "-mesh,-pipeline"}
     alone = [gymnasium.make(NAME, object=f"random:{seed}", **how) for seed in seeds]
-    seen = np.stack([env.reset(seed=11 + k)[0] for k, env in enumerate(alone)])
+    seen = np.stack([env.reset(seed=12 + k)[0] for k, env in enumerate(alone)])
     for _ in range(52):
         actions = grasp(seen)
         steps = [env.step(action) for env, action in zip(alone, actions, strict=True)]
@@ -100,7 +100,7 @@ def test_random_objects_in_one_batch_are_those_of_the_environment_on_the_cpu():
     found = many.unwrapped.truth()["force_normal_true_N"]
     there = np.stack([step[4]["force_normal_true_N"] for step in steps])
     assert there.min() > 0.5
-    assert (abs(found - there) < np.array([[0.01], [0.01], [0.03], [0.01]])).all()
+    assert (abs(found - there) < np.array([[0.01], [0.03], [0.01]])).all()
     grasps = many.unwrapped._grasps
     body = grasps.model.body("object/object").id
     heights = grasps._d.xpos.numpy()[:, body, 2]

@@ -67,7 +67,7 @@ def test_class(capsys, name, kind, sensor, brisk):
     """The shipped controller classifies the block; clay needs more travel, since it yields so
     far."""
     mine = (
-        ["--controller", brisk(PRESS_TRAVEL_MAX=0.006, APPROACH_SPEED=0.03)]
+        ["--controller", brisk(PRESS_TRAVEL_MAX=0.004, APPROACH_SPEED=0.03)]
         if name == "clay"
         else []
     )

@@ -35,7 +35,6 @@ def presses(sensor, depths, *, size=0.06, at=(0.0, 0.0), tilt=0.0, gauge=True):
         pytest.param("fine", True, 0.03, marks=pytest.mark.slow),
         pytest.param("round30", True, 0.04, marks=pytest.mark.slow),
         pytest.param("dense", False, 0.05, marks=pytest.mark.slow),
-        pytest.param("paper16", False, 0.05, marks=pytest.mark.slow),
     ],
 )
 def test_the_force_of_a_plate_is_not_absorbed(sensor, gauge, error):

@@ -175,7 +175,6 @@ def test_a_failed_grasp_names_the_forces_outside_of_the_controller(
     assert not any("; move" in cause for cause in causes)
 
 
-@pytest.mark.slow(15)
 def test_a_stand_that_blocks_the_jaws_is_the_reason(tmp_path):
     """Posts beside a test tube stop the frames of the sensors before the membranes are loaded."""
     post = '<geom name="{}" type="capsule" fromto="{} .0053 0 {} .0053 0.03" size="0.0012"/>'

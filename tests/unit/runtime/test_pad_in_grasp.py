@@ -19,7 +19,7 @@ class _Session(Observer):
         self.session = session
 
 
-@pytest.mark.slow(20)
+@pytest.mark.slow
 def test_a_pad_behind_the_membrane_is_named_in_the_flags_of_the_grasp(tmp_path):
     """The pad ends 1.5 mm below the rim. The box presses the membrane onto it."""
     models = resources.folder("models")
