@@ -157,7 +157,7 @@ class PairedGrasps:
         ]
         self.done |= {pair.seed: pair for pair in found}
         with self._file.open("a", encoding="utf-8") as lines:
-            lines.writelines(json.dumps(asdict(pair)) + "\n" for pair in found)
+            lines.writelines("\n" + json.dumps(asdict(pair)) for pair in found)
 
     def _scenario(self, seed: int, randomization: str) -> Scenario:
         name = self._name
@@ -194,7 +194,7 @@ def agreement(name: str, done: Sequence[Pair]) -> dict[str, Any]:
 
 
 def _read(file: Path) -> list[Pair]:
-    """Return the pairs of a file; a line cut off by an interruption is ignored."""
+    """Return the pairs of a file; empty lines and one cut off by an interruption are ignored."""
     if not file.exists():
         return []
     found = []

@@ -1,9 +1,13 @@
 """Benchmark of many worlds: its tables, and the scene with MuJoCo's `<tactile>` sensor."""
 
+import json
+from dataclasses import asdict
+
 import pytest
 
 pytest.importorskip("mujoco_warp")
 
+from benchmarks.gpu.pairs import SEED, Pair, PairedGrasps
 from benchmarks.gpu.presses import press_objects
 from benchmarks.gpu.run import table
 from benchmarks.gpu.tactile_sensor import speeds
@@ -39,6 +43,23 @@ def test_parts_without_time_are_named():
     )
     assert "| 4096 | 100,000 | 2.00 | 0.600 |" in text
     assert text.endswith("Not measured, no time left: failures.\n")
+
+
+def test_pairs_of_an_interrupted_run_are_not_run_again(tmp_path):
+    file = tmp_path / "pairs.jsonl"
+    outcomes = ["held", "held", "held", "dropped"]
+    pairs = [
+        Pair("egg", SEED + k, "held", outcome, 0.6, 0.6 + 1e-3 * k)
+        for k, outcome in enumerate(outcomes)
+    ]
+    lines = [json.dumps(asdict(pair)) + "\n" for pair in pairs]
+    file.write_text("".join(lines) + lines[0][:20])  # the last line was cut off
+    paired = PairedGrasps("egg", "no device", file, batch=2, workers=1)
+    found = paired.run(4, notify=print)
+    assert (found["pairs"], found["held_cpu"], found["held"]) == (4, 4, 3)
+    assert found["different"] == [[SEED + 3, "held", "dropped"]]
+    assert found["force_difference_median_N"] == pytest.approx(1.5e-3)
+    assert not PairedGrasps("block", "no device", file, batch=2, workers=1).done
 
 
 @pytest.mark.slow(60)

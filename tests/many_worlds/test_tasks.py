@@ -10,7 +10,7 @@ import warp as wp
 
 import mjtactile.gym  # noqa: F401  # registers it
 
-pytestmark = pytest.mark.slow(60)  # MuJoCo Warp on a CPU
+pytestmark = pytest.mark.slow(20)  # MuJoCo Warp on a CPU
 
 NAME = "mjtactile/Grasp-v0"
 # the shipped tasks with a lower lift and shorter holds
