@@ -102,6 +102,40 @@ class ContactDecision:
             return patches
         return tuple(replace(patch, force=force.scale * patch.force) for patch in patches)
 
+    def _problem(
+        self,
+        estimate: Estimate,
+        traction: Traction,
+        found: contact_detection.Detection,
+        sd: float,
+        moved: float,
+        *,
+        quiet: bool,
+    ) -> tuple[Status, str] | None:
+        """Return the status of an unreliable estimate, and the reason for an unknown slip."""
+        s = self._settings
+        if abs(moved) > s.gas_filter.moved_max:
+            text = f"the chamber pressure has changed by {moved:+.0f} Pa since the last image"
+            return Status(StatusCode.PRESSURE_CHANGING, text), "the pressure is changing"
+        if estimate.on_frame:
+            text = "a face wider than the frame rests on it; the frame carries a part of the load"
+            return Status(StatusCode.INCONSISTENT, text), "a face rests on the frame"
+        gap = self._unbalanced(estimate, traction)
+        if gap > s.inverse.gap_max * abs(found.force) and gap > s.zero.touch_min:
+            text = (
+                f"the pressure sensor reads {estimate.pressure_gap:+.0f} Pa relative to the "
+                f"estimated membrane shape, {gap:.2g} N of force"
+            )
+            return Status(StatusCode.INCONSISTENT, text), "no balance"
+        pulled = found.force < -max(s.zero.pull_max, s.zero.touch_sd * sd)
+        if quiet and (pulled or estimate.shape.drift > s.zero.drift_max):
+            text = (
+                "the membrane appears pulled or shifted: the rest reference is lost "
+                "(temperature, camera)"
+            )
+            return Status(StatusCode.REFERENCE_LOST, text), "no zero"
+        return None
+
     def evaluate(
         self, touch: Touch, traction: Traction, estimate: Estimate, moved: float
     ) -> tuple[Touch, PipelineState]:
@@ -127,38 +161,11 @@ class ContactDecision:
         if quiet and before is not None:
             state = self._with_zero_followed(state, estimate, found.time - before.time)
         sd = float(np.sqrt(traction.wrench_cov[2, 2]))
-        if abs(moved) > s.gas_filter.moved_max:
-            text = f"the chamber pressure has changed by {moved:+.0f} Pa since the last image"
-            status = Status(StatusCode.PRESSURE_CHANGING, text)
-            lost = slip.unknown(status.code, "the pressure is changing")
-            return replace(touch, slip=lost, status=status), state
-        if estimate.on_frame:
-            status = Status(
-                StatusCode.INCONSISTENT,
-                "a face wider than the frame rests on it; the frame carries a part of the load",
-            )
-            lost = slip.unknown(status.code, "a face rests on the frame")
-            return replace(touch, slip=lost, status=status), state
+        problem = self._problem(estimate, traction, found, sd, moved, quiet=quiet)
+        if problem is not None:
+            status, reason = problem
+            return replace(touch, slip=slip.unknown(status.code, reason), status=status), state
         known = sd if found.touching else max(sd, self._min_force(state))
-        gap = self._unbalanced(estimate, traction)
-        if gap > s.inverse.gap_max * abs(found.force) and gap > s.zero.touch_min:
-            status = Status(
-                StatusCode.INCONSISTENT,
-                f"the pressure sensor reads {estimate.pressure_gap:+.0f} Pa relative to the "
-                f"estimated membrane shape, {gap:.2g} N of force",
-            )
-            return replace(
-                touch, slip=slip.unknown(status.code, "no balance"), status=status
-            ), state
-        pulled = found.force < -max(s.zero.pull_max, s.zero.touch_sd * sd)
-        if quiet and (pulled or shape.drift > s.zero.drift_max):
-            status = Status(
-                StatusCode.REFERENCE_LOST,
-                "the membrane appears pulled or shifted: the rest reference is lost "
-                "(temperature, camera)",
-            )
-            lost = slip.unknown(status.code, "no zero")
-            return replace(touch, slip=lost, status=status), state
         estimated = replace(
             touch,
             force_normal=found.force,
