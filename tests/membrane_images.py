@@ -56,16 +56,16 @@ def _load(rubber, shear, normal):
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     places = np.concatenate([PLACE + fraction * RADIUS * ring for fraction in (0.3, 0.6, 0.9)])
-    fraction = rubber.basis(rubber.own(places)).mean(axis=0)
+    fraction = rubber.basis(rubber.parametric(places)).mean(axis=0)
     return np.outer([shear, 0.0, -normal], fraction)
 
 
 def _image(design, rubber, view, c, time):
     X = design.markers.p_SM
-    p = X + rubber.basis(rubber.own(X[:, :2])) @ c.T
+    p = X + rubber.basis(rubber.parametric(X[:, :2])) @ c.T
     step = 1e-5  # difference step, m
     along, across = (
-        step * unit + (rubber.basis(rubber.own(X[:, :2] + step * unit[:2])) @ c.T) - (p - X)
+        step * unit + (rubber.basis(rubber.parametric(X[:, :2] + step * unit[:2])) @ c.T) - (p - X)
         for unit in np.eye(3)[:2]
     )
     normal = np.cross(along, across)

@@ -140,9 +140,9 @@ def _fit_fisheye(points: Points, size: tuple[int, int], options: LensFit) -> Int
             np.ascontiguousarray(corners[None], dtype=float), rotation, shift, K, k
         )
         squares.append(((seen[0] - uv) ** 2).sum(axis=1))
-        own = J[:, : 4 + count]
+        kept_columns = J[:, : 4 + count]
         pose = J[:, 4 + count : 10 + count]
-        left = own - pose @ np.linalg.lstsq(pose, own, rcond=None)[0]
+        left = kept_columns - pose @ np.linalg.lstsq(pose, kept_columns, rcond=None)[0]
         information += left.T @ left
     residual = np.concatenate(squares)
     free = 2 * len(residual) - 4 - count - 6 * len(points)

@@ -187,8 +187,8 @@ def _screen(options: argparse.Namespace) -> int:
         )
     with stdout_to_stderr():
         common, controllers = _scenario_of(options)
-        own = _OBJECTS if options.scenario is None else common.object
-        objects = _objects(options.objects or own)
+        default_objects = _OBJECTS if options.scenario is None else common.object
+        objects = _objects(options.objects or default_objects)
         result = screens.screen(
             options.out,
             common,
@@ -263,8 +263,8 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
         if options.merge:
             return merge(options.merge, out, partial=options.partial)
         common, controllers = _scenario_of(options)
-        own = _OBJECTS if options.scenario is None else common.object
-        objects = _objects(options.objects or own)
+        default_objects = _OBJECTS if options.scenario is None else common.object
+        objects = _objects(options.objects or default_objects)
         return evaluate(
             out,
             common,

@@ -58,9 +58,9 @@ def interpolating(knots: Array, at: Array) -> tuple[Array, Array]:
 
     They map these values to values and slopes at `at`. The end condition is not-a-knot.
     """
-    own = np.r_[[knots[0]] * (_DEGREE + 1), knots[2:-2], [knots[-1]] * (_DEGREE + 1)]
-    coefficients = np.linalg.inv(_basis(own, knots))
-    return _basis(own, at) @ coefficients, _basis(own, at, 1) @ coefficients
+    knot_vector = np.r_[[knots[0]] * (_DEGREE + 1), knots[2:-2], [knots[-1]] * (_DEGREE + 1)]
+    coefficients = np.linalg.inv(_basis(knot_vector, knots))
+    return _basis(knot_vector, at) @ coefficients, _basis(knot_vector, at, 1) @ coefficients
 
 
 def _basis(knots: Array, x: Array, derivative: int = 0) -> Array:

@@ -72,10 +72,10 @@ class _EachFinger(Entry):
     name: FileName
 
     def read(self, section: Section, default: Any) -> dict[str, str]:
-        own = section.optional(self.key)
-        if own is None:
+        fields = section.optional(self.key)
+        if fields is None:
             return {}
-        return {finger: self.name.read_key(own, finger) for finger in section.table(self.key)}
+        return {finger: self.name.read_key(fields, finger) for finger in section.table(self.key)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,10 +199,10 @@ class Scenario:
         """
         values = self.to_dict()
         names = {key: values[key] for key in ("object", "sensor", "controller", "rig", "seed")}
-        own = {f"sensor_{finger}": sensor for finger, sensor in self.sensors.items()}
+        by_finger = {f"sensor_{finger}": sensor for finger, sensor in self.sensors.items()}
         files = {
             key: sensor.stored_file()
-            for key, sensor in {"sensor": self.sensor, **own}.items()
+            for key, sensor in {"sensor": self.sensor, **by_finger}.items()
             if isinstance(sensor, SensorDesign)
         }
         return names | {"command": self.command(), "scenario": values, "files": files}

@@ -83,7 +83,7 @@ def study(
     """
     stand = VirtualBench(design)
     notify("predicting the performance")
-    own = score(design, force, stand=stand)
+    unchanged = score(design, force, stand=stand)
     predictor = ResolutionPredictor(stand)
     positions = face_positions(design)
     face = []
@@ -99,7 +99,7 @@ def study(
             changes.append(Change(label, score(rebuilt(variant), force)))
         except (InputError, MjtactileError) as error:
             changes.append(Change(label, None, str(error)))
-    return PredictionReport(design, force, own, tuple(face), image_use, tuple(changes))
+    return PredictionReport(design, force, unchanged, tuple(face), image_use, tuple(changes))
 
 
 def face_positions(design: SensorDesign) -> list[Array]:

@@ -170,8 +170,8 @@ class ControlTable:
         row = _MODELS[model]
         self.size = row.size
         self.volts = row.volts
-        own = _model_values(row)
-        fields = [replace(field, **own.get(field.name, {})) for field in _FIELDS]
+        values = _model_values(row)
+        fields = [replace(field, **values.get(field.name, {})) for field in _FIELDS]
         if row.slope is not None:
             fields.append(TableEntry(62, 1, "PWM Slope", row.slope, 1, 255))
         for i in (1, 2, 3) if row.size == 540 else ():

@@ -215,16 +215,16 @@ class Cameras:
         ]
         self._renderers = [
             Renderer(
-                true_design(design, own),
+                true_design(design, as_built),
                 seed=int(s),
-                pose=camera_pose(design, own),
-                radius=marker_radii(true_design(design, own), own),
+                pose=camera_pose(design, as_built),
+                radius=marker_radii(true_design(design, as_built), as_built),
             )
-            for s, (design, own) in zip(seeds, fingers, strict=True)
+            for s, (design, as_built) in zip(seeds, fingers, strict=True)
         ]
         self._suffered = {
-            own.finger: FaultyImage(own.camera, int(s))
-            for s, (_, own) in zip(seeds, fingers, strict=True)
+            as_built.finger: FaultyImage(as_built.camera, int(s))
+            for s, (_, as_built) in zip(seeds, fingers, strict=True)
         }
         self._period = 1 / options.rig_file.cameras[0].rate
         self._shared = shared

@@ -164,13 +164,13 @@ def run_round(
 ) -> None:
     """Run the missing episodes among the first `count` of each task; see `run_suite`."""
     for task in suite.tasks:
-        own = folder / task
+        task_folder = folder / task
         stored = 0
-        if foreign_file.exists(own / store.MANIFEST):
-            stored = store.read_manifest(own)["options"]["count"]
+        if foreign_file.exists(task_folder / store.MANIFEST):
+            stored = store.read_manifest(task_folder)["options"]["count"]
         settings = {"controllers": controllers, "objects": suite.objects, "running": running}
         running.notify(f"{task}: {max(count, stored)} episodes")
-        evaluate(own, suite.scenario(task), count=max(count, stored), **settings)
+        evaluate(task_folder, suite.scenario(task), count=max(count, stored), **settings)
 
 
 def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
@@ -224,14 +224,15 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
             known.setdefault(name, []).extend(_numbered(suite, index, lines))
     if not found:
         raise InputError(f"contains no results of {suite.name}", source=folder, field="--suite")
-    comparisons = sum(len(own) * len(shipped[task]) for task, own in found.items())
+    comparisons = sum(len(results) * len(shipped[task]) for task, results in found.items())
     if len(found) > 1:
         comparisons += len(numbered) * len(known)
     tasks = {
         task: {
-            name: _compared(name, lines, shipped[task], comparisons) for name, lines in own.items()
+            name: _compared(name, lines, shipped[task], comparisons)
+            for name, lines in results.items()
         }
-        for task, own in found.items()
+        for task, results in found.items()
     }
     together = {
         name: _compared(name, lines, known, comparisons) for name, lines in numbered.items()
@@ -264,7 +265,7 @@ def _compared(
 
 def table(suite: Suite, result: Mapping[str, Any]) -> str:
     """A comparison as Markdown."""
-    others = list(dict.fromkeys(name for own in suite.results.values() for name in own))
+    others = list(dict.fromkeys(name for row in suite.results.values() for name in row))
     against = " | ".join(f"against `{name}`" for name in others)
     lines = [
         f"| {suite.name} | controller | held undamaged | grip force / minimum holding force | "
@@ -274,8 +275,8 @@ def table(suite: Suite, result: Mapping[str, Any]) -> str:
     rows = dict(result["tasks"])
     if len(rows) > 1:  # all tasks together may be conclusive if single tasks are not
         rows[f"all {len(rows)}"] = result["together"]
-    for task, own in rows.items():
-        for controller, found in own.items():
+    for task, row in rows.items():
+        for controller, found in row.items():
             margin = found.get("margin")
             cells = [
                 task,
@@ -297,8 +298,8 @@ def _intervals_text(rows: Mapping[str, Any]) -> str:
     """Return the confidence of the intervals of a comparison, as a sentence."""
     counts = {
         pair["comparisons"]
-        for own in rows.values()
-        for found in own.values()
+        for row in rows.values()
+        for found in row.values()
         for pair in found["against"].values()
     }
     count = max(counts, default=1)
@@ -330,8 +331,8 @@ def _results(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     found: dict[str, dict[str, Any]] = {}
     for controller, group in summary.items():
         mine = [line for line in lines if line["controller"] == controller]
-        own = {line["episode"]: _LETTERS[line["outcome"]] for line in mine}
-        letters = "".join(own.get(k, _NONE) for k in range(max(own) + 1))
+        outcomes = {line["episode"]: _LETTERS[line["outcome"]] for line in mine}
+        letters = "".join(outcomes.get(k, _NONE) for k in range(max(outcomes) + 1))
         found[controller] = {"outcomes": letters}
         for name in _MEASURES:
             median = group.get(name, {}).get("median")

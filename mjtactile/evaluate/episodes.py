@@ -104,8 +104,8 @@ def plan(
         name = objects[index % len(objects)]
         grasped = f"{RANDOM}:{seed}" if name == RANDOM else name
         for controller in controllers:
-            own = replace(scenario, object=grasped, controller=controller, seed=seed)
-            episodes.append(Episode(index, own))
+            episode_scenario = replace(scenario, object=grasped, controller=controller, seed=seed)
+            episodes.append(Episode(index, episode_scenario))
     return episodes
 
 

@@ -126,7 +126,7 @@ def _episodes_to_settle(only_first: int, only_second: int, n: int, error: float)
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:
     """Return each controller's success, overall and by object, and all pairwise differences."""
-    own = _lines_by("controller", lines)
+    by_controller = _lines_by("controller", lines)
     controllers = {
         name: _group(mine)
         | {
@@ -134,14 +134,14 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
             "randomized": against(mine, lines),
             "flags": _by_flag(mine),
         }
-        for name, mine in own.items()
+        for name, mine in by_controller.items()
     }
-    pairs = list(combinations(own, 2))
+    pairs = list(combinations(by_controller, 2))
     differences = [
         {
             "first": first,
             "second": second,
-            **paired(own[first], own[second], comparisons=len(pairs)),
+            **paired(by_controller[first], by_controller[second], comparisons=len(pairs)),
         }
         for first, second in pairs
     ]
@@ -160,10 +160,10 @@ def _lines_by(key: str, lines: Iterable[Line]) -> dict[str, list[Line]]:
 def _by_flag(lines: Sequence[Line]) -> dict[str, Any]:
     """Return outcomes with and without each flag of reduced simulation accuracy, and any flag."""
     flags = [line.get("flags", {}) for line in lines]
-    kinds = sorted({kind for own in flags for kind in own})
-    selections = {kind: [kind in own for own in flags] for kind in kinds}
+    kinds = sorted({kind for flag in flags for kind in flag})
+    selections = {kind: [kind in flag for flag in flags] for kind in kinds}
     if kinds:
-        selections["any"] = [bool(own) for own in flags]
+        selections["any"] = [bool(flag) for flag in flags]
     return {
         kind: {
             "with": _outcomes(list(compress(lines, has))),

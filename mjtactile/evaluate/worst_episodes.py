@@ -36,10 +36,10 @@ def worst(lines: Sequence[Line], count: int | None) -> list[Line]:
         count = min(_SHOWN_MAX, len(lines) - held + ceil(held / _SHOWN_MAX))
     chosen: list[Line] = []
     for rank in (2, 1, 0):
-        own = [line for line in lines if _RANKS[line["outcome"]] == rank]
-        own.sort(key=_badness, reverse=True)
+        ranked = [line for line in lines if _RANKS[line["outcome"]] == rank]
+        ranked.sort(key=_badness, reverse=True)
         kinds: dict[tuple[str, ...], list[Line]] = {}
-        for line in own:
+        for line in ranked:
             kind = (line["controller"], line["object"], line["outcome"])
             kinds.setdefault(kind, []).append(line)
         # alternate between the kinds

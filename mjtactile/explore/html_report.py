@@ -133,8 +133,8 @@ def plot(figure: Any, found: ExplorationResult) -> None:
 def _paint(axes: Any, mesh: Mesh, colour: Array, found: ExplorationResult) -> None:
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    _, own = principal_sizes(mesh)
-    up = own[:, ::-1]
+    _, sizes = principal_sizes(mesh)
+    up = sizes[:, ::-1]
     up = up * np.array([np.linalg.det(up), 1.0, 1.0])
     corners = 1e3 * (mesh.vertices[mesh.triangles] @ up)
     normal = mesh.normals[mesh.triangles].mean(axis=1) @ up

@@ -56,8 +56,8 @@ def sizes(
     variance = np.zeros(3)
     for weight, mesh, surface in zip(fraction, meshes, surfaces, strict=False):
         other = np.ptp(mesh.vertices @ axes, axis=0)
-        own = [_variance(surface, _ends(mesh, axis), touched) for axis in axes.T]
-        variance += weight * (np.array(own) + (other - mean) ** 2)
+        variances = [_variance(surface, _ends(mesh, axis), touched) for axis in axes.T]
+        variance += weight * (np.array(variances) + (other - mean) ** 2)
     sd = np.sqrt(variance)
     high = mean + sd
     if len(touched):

@@ -152,8 +152,8 @@ class _Data:
         noise = self.noise.copy()
         odds = self.odds
         for part in self.parts:
-            own = np.sqrt(noise[part, part].diagonal().min() + _ALLOWED**2)
-            if np.median(np.abs(left[part])) < _OUTLIER_SD * own:
+            sd = np.sqrt(noise[part, part].diagonal().min() + _ALLOWED**2)
+            if np.median(np.abs(left[part])) < _OUTLIER_SD * sd:
                 continue
             odds += _FLAG_ODDS
             centered = self.points[part] - self.points[part].mean(axis=0)
@@ -273,8 +273,8 @@ def _with_field(
     """Compute the posterior of field and shape parameters about `theta` (Eq. E3). It includes the
     evidence (Eq. E5)."""
     rows = superquadric.jacobian(theta, data.points)
-    own = kernel(data.points, data.points, *field) + data.noise
-    cov = rows @ family.cov @ rows.T + own
+    field_cov = kernel(data.points, data.points, *field) + data.noise
+    cov = rows @ family.cov @ rows.T + field_cov
     factor = cho_factor(cov, lower=True)
     expected = _expected(data, family, theta)
     evidence = -0.5 * float(expected @ cho_solve(factor, expected)) - float(
@@ -283,7 +283,7 @@ def _with_field(
     free = _free_and_prior(data, family, theta)[0]
     evidence += data.odds - 0.5 * float(free @ free)
     # at the most likely shape the parameter correction is zero, so the field explains the residual
-    weights = cho_solve(cho_factor(own, lower=True), data.left(theta))
+    weights = cho_solve(cho_factor(field_cov, lower=True), data.left(theta))
     return SurfacePosterior(family, theta, field, data.points, weights, factor, evidence)
 
 

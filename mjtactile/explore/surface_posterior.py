@@ -133,5 +133,5 @@ def _square(part: slice, inverse: Array, pulls: Array, noise: Array, stated: Arr
     within = np.linalg.inv(inverse[part, part])  # its covariance, given all others
     miss = float((within @ pulls[part]).mean())
     predicted = max(float((within - noise[part, part]).mean()), 0.0)
-    own = float(stated[part, part].mean())
-    return miss**2 / (predicted + own)
+    variance = float(stated[part, part].mean())
+    return miss**2 / (predicted + variance)

@@ -276,7 +276,9 @@ class RecordedEpisode:
                 difference = abs(estimate.force_normal - recorded)
                 self.estimate_difference = float(np.fmax(self.estimate_difference, difference))
             files = tuple(folder / name for name in columns["images"][k])
-            ellipses = tuple(followed(image, own.state.tracks) for own, image in pairs)
+            ellipses = tuple(
+                followed(image, finger_pipeline.state.tracks) for finger_pipeline, image in pairs
+            )
             yield Perceived(time, row, images, files, touch, ellipses, cycle=k)
 
 
@@ -359,14 +361,14 @@ def write_each(
 def part_names(episode: RecordedEpisode, key: str) -> list[str]:
     """Return a name with unit for each value of a column, left to right."""
     unit = (SENSED[key][0] if key in SENSED else TRUE[key][0]).replace("^", "").replace("/", "_")
-    own = _PARTS.get(key, (unit or key,))
+    names_of_parts = _PARTS.get(key, (unit or key,))
     column = episode.recording.columns[key]
     if key in NOT_OF_A_FINGER:
-        return list(own)
+        return list(names_of_parts)
     if column.ndim == 1 and column.dtype != object:
         return [f"{key}_{unit}" if unit else key]
     parts = episode.fingers if column.shape[1] == len(episode.fingers) else range(column.shape[1])
-    return [f"{part}.{name}" for part in parts for name in own]
+    return [f"{part}.{name}" for part in parts for name in names_of_parts]
 
 
 def meanings() -> dict[str, dict[str, str]]:

@@ -111,7 +111,7 @@ class LiveView(Observer):
         """
         if self._thread is None or self.problem:
             return
-        states = [getattr(own, "state", None) for own in self._session.perceptions]
+        states = [getattr(perception, "state", None) for perception in self._session.perceptions]
         tracks = [getattr(state, "tracks", None) for state in states]
         row = make_row(cycle, (), truth)
         row = {key: value for key, value in row.items() if key not in ("kind", "images")}

@@ -67,7 +67,7 @@ def render(
     every = (every - (low + high) / 2) / (_BORDER * (high - low)[0] / 2)
     rows = max(round(pixels * (high - low)[1] / (high - low)[0]), 60)
     size = rows * _SAMPLES, pixels * _SAMPLES
-    body_of = np.repeat(np.arange(len(bodies)), [len(own) for own in corners])
+    body_of = np.repeat(np.arange(len(bodies)), [len(triangles) for triangles in corners])
     colours = _shaded(every, np.array([body.part.colour for body in bodies])[body_of])
     seen, depth = _paint(every, size)
     image = np.vstack([colours, np.ones((1, 3))])[seen]

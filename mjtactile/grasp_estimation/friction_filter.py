@@ -180,12 +180,12 @@ class FrictionFilter:
         pairs = zip(distances, self.distances or distances, strict=True)
         grows = np.array([new - old > min_growth for new, old in pairs])
         slides = np.array([state == "slipping" for state in states])
-        own = shears / np.maximum([estimate.force_normal for estimate in touch], _FORCE_MIN)
+        utilization = shears / np.maximum([estimate.force_normal for estimate in touch], _FORCE_MIN)
         slid, speed = max(recent), 0.0
         if slip == SOME:
-            slid = float(own[slides].mean())
+            slid = float(utilization[slides].mean())
         if (moves := slides & grows).any():
-            slip, slid = MOVES, float(own[moves].mean())
+            slip, slid = MOVES, float(utilization[moves].mean())
             speed = float(np.subtract(distances, self.distances)[moves].max()) / period
         return Signs(press, drag, recent, distances, slip, ages, *changes, slid, speed)
 

@@ -194,8 +194,8 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             raise InputError(text, source=_SOURCE, field=field)
         is_bool = like is self._over
         if self._torch is not None and isinstance(values, self._torch.Tensor):
-            own = self._torch.bool if is_bool else self._torch.float32
-            values = wp.from_torch(values.detach().to(own).contiguous(), dtype=like.dtype)
+            dtype = self._torch.bool if is_bool else self._torch.float32
+            values = wp.from_torch(values.detach().to(dtype).contiguous(), dtype=like.dtype)
         elif not isinstance(values, wp.array):
             values = np.ascontiguousarray(values, np.bool_ if is_bool else np.float32)
         like.assign(values)

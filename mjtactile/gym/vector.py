@@ -77,9 +77,9 @@ class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
     def _together(self, jobs: Iterable[Callable[[], None]]) -> None:
         """Run all jobs, distributed over the threads, and raise the first error of any job."""
         every = list(jobs)
-        own, *others = (every[k :: self._threads] for k in range(self._threads))
+        groups, *others = (every[k :: self._threads] for k in range(self._threads))
         futures = [self._pool.submit(_run_all, part) for part in others]
-        _run_all(own)
+        _run_all(groups)
         for future in futures:
             future.result()
 

@@ -53,10 +53,10 @@ class ActionRepeatScaling(gymnasium.Wrapper):
 
     def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
         """The action for `steps` steps, or to the episode's end; rewards are summed."""
-        own = MIDDLE + SPAN * np.asarray(action)
+        scaled = MIDDLE + SPAN * np.asarray(action)
         total = 0.0
         for _ in range(self._steps):
-            shown, reward, terminated, truncated, info = self.env.step(own)
+            shown, reward, terminated, truncated, info = self.env.step(scaled)
             total += max(float(reward), -self._fear)
             if terminated or truncated:
                 break

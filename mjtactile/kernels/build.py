@@ -175,8 +175,16 @@ def _compiler(target: str) -> list[str]:
 
 def _compile(out: Path, instructions: str, target: str) -> None:
     flags = next(flags for name, _, flags in _sets(target) if name == instructions)
-    own = [] if _has_zig() else _SYSTEM_FLAGS
-    command = [*_compiler(target), *_FLAGS, *own, *flags, "-o", str(out), *map(str, sources())]
+    extra_flags = [] if _has_zig() else _SYSTEM_FLAGS
+    command = [
+        *_compiler(target),
+        *_FLAGS,
+        *extra_flags,
+        *flags,
+        "-o",
+        str(out),
+        *map(str, sources()),
+    ]
     command += ["-lc", "-lm"]
     # a build folder of its own: a user's home may not be writable
     environment = {

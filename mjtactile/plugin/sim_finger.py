@@ -253,8 +253,8 @@ class SimFinger(NotCopyable):
             InputError: The finger is bound to another model or other data, or an option of the
                 model was changed after `bind`.
         """
-        for field, given, own in (("data", data, self._data), ("model", model, self._model)):
-            if given is not own:
+        for field, given, bound in (("data", data, self._data), ("model", model, self._model)):
+            if given is not bound:
                 raise InputError(
                     f"is bound to another {field}; call bind with this one",
                     source=f"finger {self.name!r}",

@@ -48,8 +48,8 @@ def plot_section(
         direction = np.array([np.cos(angle), np.sin(angle)])
         across = np.array([-direction[1], direction[0]])
         offset = true - shape.p_SO
-        own = offset[(np.abs(offset[:, :, :2] @ across) < 1e-9).all(axis=1)]
-        _render(panel, [_flat(piece, direction) for piece in own], _TRUE, 3)
+        section = offset[(np.abs(offset[:, :, :2] @ across) < 1e-9).all(axis=1)]
+        _render(panel, [_flat(piece, direction) for piece in section], _TRUE, 3)
         _render(panel, [_flat(arc - shape.p_SO, direction)], _ESTIMATED, 1)
         _write(panel, _NAMES[index], (8, panel.shape[0] - 8))
     return image

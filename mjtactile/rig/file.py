@@ -226,7 +226,7 @@ def _as_built(section: Section | None) -> tuple[AsBuiltSensor, ...]:
         return ()
     found = [(finger, section.optional(finger)) for finger in FINGERS]
     section.done()
-    return tuple(read(AsBuiltSensor, own, finger=finger) for finger, own in found if own)
+    return tuple(read(AsBuiltSensor, values, finger=finger) for finger, values in found if values)
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,9 @@ def _replayed(scenario: Scenario, recording: Recording, given: Sequence[str]) ->
         scenario,
         **kept,
         sensor=first,
-        sensors={finger: own for finger, own in sensors.items() if not own.has_values_of(first)},
+        sensors={
+            finger: sensor for finger, sensor in sensors.items() if not sensor.has_values_of(first)
+        },
         contact_shapes=scenario.contact_shapes or recording.has_shapes,
     )
 

@@ -59,9 +59,9 @@ class PerceptionPool:
         """
         self._perceptions = perceptions
         self._names = names
-        for worker, own in self._parts(perceptions):
+        for worker, part in self._parts(perceptions):
             # whole: arrays that may be written to have their address read faster
-            worker.start("take", pickle.dumps(own))
+            worker.start("take", pickle.dumps(part))
         for worker, _ in self._parts(perceptions):
             if worker.outcome(_START) is None:
                 raise DeviceError(
@@ -85,16 +85,16 @@ class PerceptionPool:
         Raises DeviceError for a process that has ended. Raises the error of a pipeline after all
         have answered.
         """
-        for worker, own in self._parts(with_readings(images, readings)):
-            worker.start("perceive", own, now)
+        for worker, part in self._parts(with_readings(images, readings)):
+            worker.start("perceive", part, now)
         end = scaled_clock.monotonic() + timeout
         outcomes = list[Outcome | None]([None] * len(images))
-        for first, (worker, own) in enumerate(self._parts(self._perceptions)):
+        for first, (worker, part) in enumerate(self._parts(self._perceptions)):
             answer = list[tuple[Outcome, Any]](
                 worker.outcome(max(0.0, end - scaled_clock.monotonic())) or []
             )
             for finger, (perception, (outcome, tracks)) in enumerate(
-                zip(own, answer, strict=False)
+                zip(part, answer, strict=False)
             ):
                 outcomes[first + finger * len(self._workers)] = outcome
                 # for display; the other parts of a state are large and not needed here
@@ -108,9 +108,9 @@ class PerceptionPool:
     def _take_states(self) -> None:
         """Those of a process that does not answer any more stay in the states that it began in."""
         with contextlib.suppress(DeviceError):
-            for worker, own in self._parts(self._perceptions):
+            for worker, part in self._parts(self._perceptions):
                 worker.start("give")
-                for perception, state in zip(own, worker.outcome(PATIENCE) or (), strict=False):
+                for perception, state in zip(part, worker.outcome(PATIENCE) or (), strict=False):
                     perception.state = state
 
     def close(self) -> None:
@@ -119,7 +119,7 @@ class PerceptionPool:
     def _parts(self, values: Sequence[Any]) -> list[tuple[WorkerProcess, list[Any]]]:
         """Return each process that has work, with its part of `values`."""
         parts = [list(values[first :: len(self._workers)]) for first in range(len(self._workers))]
-        return [(worker, own) for worker, own in zip(self._workers, parts, strict=True) if own]
+        return [(worker, part) for worker, part in zip(self._workers, parts, strict=True) if part]
 
 
 def default_count(cameras: int) -> int:

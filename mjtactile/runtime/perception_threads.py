@@ -74,12 +74,12 @@ class Perceivers:
         busy: int = 0,
     ):
         threads = default_threads(len(pipelines), busy) if threads is None else threads
-        own = max(len(pipelines) - threads, 0)
+        in_caller = max(len(pipelines) - threads, 0)
         self._pipelines = [
-            (pipeline, name, _Thread(name) if k >= own else None)
+            (pipeline, name, _Thread(name) if k >= in_caller else None)
             for k, (pipeline, name) in enumerate(zip(pipelines, names, strict=True))
         ]
-        self._has_threads = own < len(pipelines)
+        self._has_threads = in_caller < len(pipelines)
 
     def __enter__(self) -> Perceivers:
         return self
@@ -108,14 +108,14 @@ class Perceivers:
         for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True):
             if thread is not None:
                 thread.start(pipeline.perceive, *seen)
-        own = [
+        outcomes = [
             outcome_of(pipeline.perceive, *seen) if thread is None else None
             for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True)
         ]
         end = scaled_clock.monotonic() + timeout
         found = [
             mine if thread is None else thread.outcome(max(0.0, end - scaled_clock.monotonic()))
-            for ((_, _, thread), _), mine in zip(pairs, own, strict=True)
+            for ((_, _, thread), _), mine in zip(pairs, outcomes, strict=True)
         ]
         return tuple(
             timeout_touch(name, image, now) if outcome is None else value_of(outcome)

@@ -119,8 +119,10 @@ class Restart:
         self._snapshot.restore()
         pose, seeds = start_of(seed)
         self._move(place(self._world.object, pose))
-        for camera, own in zip(self._rig.cameras, seeds(len(self._rig.cameras)), strict=True):
-            camera.reseed(own)  # pyright: ignore[reportAttributeAccessIssue] it is a SimCamera
+        for camera, seed_of_camera in zip(
+            self._rig.cameras, seeds(len(self._rig.cameras)), strict=True
+        ):
+            camera.reseed(seed_of_camera)  # pyright: ignore[reportAttributeAccessIssue] it is a SimCamera
         for k, valve in enumerate(self._rig.valves):
             valve.reseed(seed + k)  # pyright: ignore[reportAttributeAccessIssue] it is a SimValve
         self._rig.gripper.reseed(seed)  # pyright: ignore[reportAttributeAccessIssue]

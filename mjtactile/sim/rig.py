@@ -152,10 +152,10 @@ def _world(plan: _Plan) -> GraspWorld:
             world, plan.sample_task.events, plan.task.goal.lift_height, plan.sample_task.path
         )
         world.after_each_step_batch(schedule.step, schedule.due)
-    for sensor, own in zip(world.sensors, plan.as_built, strict=True):
-        if own.leak or own.warming:
-            sensor.puncture(own.leak)
-            sensor.warm(own.warming)
+    for sensor, built in zip(world.sensors, plan.as_built, strict=True):
+        if built.leak or built.warming:
+            sensor.puncture(built.leak)
+            sensor.warm(built.warming)
     return world
 
 
@@ -170,8 +170,8 @@ def _rig(plan: _Plan, world: GraspWorld) -> Rig:
     )
     clock.on_arrival += [camera.capture for camera in cameras]
     valves = tuple(
-        SimValve(sensor, seed + k, own.valve_zero, clock.defer)
-        for k, (sensor, own) in enumerate(zip(world.sensors, plan.as_built, strict=True))
+        SimValve(sensor, seed + k, as_built.valve_zero, clock.defer)
+        for k, (sensor, as_built) in enumerate(zip(world.sensors, plan.as_built, strict=True))
     )
     for valve in valves:
         world.after_each_step_batch(valve.move)

@@ -303,8 +303,8 @@ def _tested_parameters(
     for cause, probe in zip(causes, probes, strict=True):
         change = rows.vector(probe) - base
         if cause.on == "sensor":
-            own = [rows.vector(probe, f) - rows.vector(here, f) for f in range(there.fingers)]
-            columns[cause.name] = np.column_stack(own) / cause.probe
+            shifts = [rows.vector(probe, f) - rows.vector(here, f) for f in range(there.fingers)]
+            columns[cause.name] = np.column_stack(shifts) / cause.probe
         else:
             columns[cause.name] = change[:, None] / cause.probe
         if cause.spread:
@@ -335,13 +335,13 @@ def _solve(
     names = list(nuisance)
     allowed = [nuisance[name][0] for name in names]
     J = np.column_stack([columns, *allowed]) if allowed else columns
-    own = columns.shape[1]
-    prior = np.concatenate([np.zeros(own), [1 / nuisance[name][1] for name in names]])
+    count = columns.shape[1]
+    prior = np.concatenate([np.zeros(count), [1 / nuisance[name][1] for name in names]])
     stacked = np.vstack([J, np.diag(prior) / np.sqrt(len(KINDS) * 30)])
     target = np.concatenate([difference, np.zeros(J.shape[1])])
     found, *_ = np.linalg.lstsq(stacked, target, rcond=None)
     rest = target - stacked @ found
     left = float(rest @ rest)
     spread = np.sqrt(np.diag(np.linalg.pinv(stacked.T @ stacked)) * left / max(len(KINDS), 1))
-    amounts = dict(zip(names, map(float, found[own:]), strict=True))
-    return found[:own], amounts | {"left": left}, spread[:own]
+    amounts = dict(zip(names, map(float, found[count:]), strict=True))
+    return found[:count], amounts | {"left": left}, spread[:count]

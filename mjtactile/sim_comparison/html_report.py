@@ -123,11 +123,11 @@ def _difference_rows(shadow: SimComparison) -> list[tuple[str, ...]]:
     rows = []
     for kind in KINDS:
         scale, unit = UNIT[kind]
-        own = [f"{scale * value:.3g}" for value in shadow.differences[kind]]
+        values = [f"{scale * value:.3g}" for value in shadow.differences[kind]]
         left = "-"
         if shadow.left:
             left = ", ".join(f"{scale * value:.3g}" for value in shadow.left[kind])
-        rows.append((f"{kind}, {unit}", *own, f"{scale * TOLERANCE[kind]:.3g}", left))
+        rows.append((f"{kind}, {unit}", *values, f"{scale * TOLERANCE[kind]:.3g}", left))
     return rows
 
 

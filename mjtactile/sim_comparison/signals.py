@@ -88,8 +88,8 @@ def gauges(valves: Sequence[ValveState], episode: Any = None) -> list[float | No
         return shown
     calibrations = [episode.calibrations[name] for name in episode.fingers]
     return [
-        value if value is None or own is None else own.pressure(value)
-        for value, own in zip(shown, calibrations, strict=False)
+        value if value is None or calibration is None else calibration.pressure(value)
+        for value, calibration in zip(shown, calibrations, strict=False)
     ]
 
 

@@ -236,6 +236,6 @@ def keep(
 
     The list also holds geoms of other plugins.
     """
-    own = {id(geom) for geom in mine}
-    geoms[:] = [geom for geom in geoms if id(geom) not in own]
+    geom_ids = {id(geom) for geom in mine}
+    geoms[:] = [geom for geom in geoms if id(geom) not in geom_ids]
     geoms += added[: max(0, maximum - len(geoms))]

@@ -48,8 +48,8 @@ def match_membranes(
     tension = design.membrane.pretension
     stretched = [_changed(design, 1.0, offset).membrane.pretension / tension for offset in along]
     factors = np.geomspace(low * min(stretched) / 1.2, high * max(stretched) * 1.2, _FACTORS)
-    own = np.log([_rest_volume(design, grid, factor, 0.0) for factor in factors])
-    inverse = PchipInterpolator(own[::-1], np.log(factors)[::-1])
+    log_volumes = np.log([_rest_volume(design, grid, factor, 0.0) for factor in factors])
+    inverse = PchipInterpolator(log_volumes[::-1], np.log(factors)[::-1])
     return np.exp(inverse(volumes)), np.exp(volumes)
 
 

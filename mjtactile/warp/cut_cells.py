@@ -33,9 +33,9 @@ def cut_cells(membrane: QuasistaticMembrane) -> tuple[Any, Array]:
     corners = np.where(corners > 0, corners // line * ny + corners % line, -1)
     made = _pack(whole, rows, corners, nodes, line, ny)
     stiffness = np.zeros(nodes)
-    for row, own in zip(rows, corners, strict=True):
-        for a in np.flatnonzero(own >= 0):
-            stiffness[own[a]] += row[0] * _stiffness(membrane, row[1 + a], row[4 + a])
+    for row, corner_nodes in zip(rows, corners, strict=True):
+        for a in np.flatnonzero(corner_nodes >= 0):
+            stiffness[corner_nodes[a]] += row[0] * _stiffness(membrane, row[1 + a], row[4 + a])
     made.held = floats(stiffness)
     return made, state.astype(int)
 

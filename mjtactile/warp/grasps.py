@@ -215,8 +215,8 @@ class Grasps:
     @property
     def object_seeds(self) -> Array:
         """Return the seed (worlds,) of each world's random object, or -1. Waits for the device."""
-        own = np.array([item.seed for item in self.mix])
-        return own[self._kinds[self._starts.row.numpy()]]
+        seeds = np.array([item.seed for item in self.mix])
+        return seeds[self._kinds[self._starts.row.numpy()]]
 
     def phases(self) -> Array:
         """Return the number (worlds,) of each world's phase. Waits for the device."""

@@ -113,9 +113,11 @@ def objects_of(
 ) -> Any:
     """Return the values of all objects for the `geoms` and `free` bodies of a scene's model."""
     prefixes = [PREFIX if item.model is model else "" for item in mix]
-    own = [dict(slots_of(item.model, prefix)) for item, prefix in zip(mix, prefixes, strict=True)]
+    slot_tables = [
+        dict(slots_of(item.model, prefix)) for item, prefix in zip(mix, prefixes, strict=True)
+    ]
     slots = {geom: slot for slot, geom in slots_of(model, PREFIX)}
-    found = [[table.get(slots[geom], -1) for geom in geoms] for table in own]
+    found = [[table.get(slots[geom], -1) for geom in geoms] for table in slot_tables]
     bodies = [
         [item.model.body(prefix + model.body(b).name.removeprefix(PREFIX)).id for b in free]
         for item, prefix in zip(mix, prefixes, strict=True)

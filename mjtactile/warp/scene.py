@@ -185,10 +185,10 @@ def _meshes(model: mujoco.MjModel, geoms: set[int]) -> list[int]:
     A mesh without a hull, such as that of a `<tactile>` sensor, cannot be a geom.
     """
     used = {int(model.geom_dataid[geom]) for geom in range(model.ngeom)}
-    own = {int(model.geom_dataid[geom]) for geom in geoms}
+    mesh_ids = {int(model.geom_dataid[geom]) for geom in geoms}
     solid = {mesh for mesh in range(model.nmesh) if model.mesh_graphadr[mesh] >= 0}
     others = solid - used if geoms else set()
-    return sorted(own | others)
+    return sorted(mesh_ids | others)
 
 
 def _planes(model: mujoco.MjModel, mesh: int) -> Array:

@@ -237,8 +237,8 @@ def _world_poses(
 
 def _frictions(world: SampledWorld, fingers: Sequence[str]) -> list[float]:
     """Return the relative friction of the object's geoms, and of it with each membrane."""
-    own = 1 + world.object.friction
-    return [own, *(own * (1 + world.as_built_sensor(f).friction_fraction) for f in fingers)]
+    factor = 1 + world.object.friction
+    return [factor, *(factor * (1 + world.as_built_sensor(f).friction_fraction) for f in fingers)]
 
 
 def _finger_values(

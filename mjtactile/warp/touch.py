@@ -206,9 +206,9 @@ def _joints(model: mujoco.MjModel, worlds: int) -> Any:
     }.items():
         setattr(joints, name, wp.array(np.asarray(values, np.int32), dtype=int))
     joints.inertia = wp.array(model.dof_M0[None].astype(np.float32), dtype=float)
-    own = np.asarray(model.dof_damping, np.float32).reshape(-1)[: model.nv]
-    joints.own = wp.array(own, dtype=float)
-    joints.damping = wp.array(np.tile(own, (worlds, 1)), dtype=float)
+    damping = np.asarray(model.dof_damping, np.float32).reshape(-1)[: model.nv]
+    joints.own = wp.array(damping, dtype=float)
+    joints.damping = wp.array(np.tile(damping, (worlds, 1)), dtype=float)
     return joints
 
 

@@ -194,7 +194,7 @@ def test_a_taut_ellipse_is_a_paraboloid():
     c = rubber.equilibrium(Gas(10.0))
     at = np.random.default_rng(0).uniform(-0.6, 0.6, (50, 2)) * (frame.length, frame.width) / 2
     expected = height * (1 - at[:, 0] ** 2 / a2 - at[:, 1] ** 2 / b2)
-    found = rubber.basis(rubber.own(at)) @ c[2]
+    found = rubber.basis(rubber.parametric(at)) @ c[2]
     np.testing.assert_allclose(found, expected, rtol=3e-3)  # slopes of 0.01 and their tension
     # the simulator's triangles: 1 %, second order
     world = scene(design)
@@ -247,7 +247,7 @@ def test_a_load_on_the_membrane_is_estimated_where_it_is(design):
     pressure = np.exp(-0.5 * (np.square(estimator.nodes - place).sum(1)) / 3e-3**2)
     force = 0.5 * pressure * estimator.node_area / (pressure @ estimator.node_area)
     load = np.zeros((3, rubber.count))
-    load[2] = -force @ rubber.basis(rubber.own(estimator.nodes))
+    load[2] = -force @ rubber.basis(rubber.parametric(estimator.nodes))
     c = rubber.equilibrium(rest.gas, rest.young, load, start=rest.c)
     shape = estimator.estimate(seen(c), rest)
     estimated = estimator.traction(shape)

@@ -289,7 +289,7 @@ def test_in_a_round_frame_markers_stand_where_sensing_s_membrane_has_them(name):
     rubber = SplineMembrane(design, (14, 14))
     c = rubber.equilibrium(Gas(1000.0))
     flat = design.markers.p_SM
-    basis = rubber.basis(rubber.own(flat[:, :2]))
+    basis = rubber.basis(rubber.parametric(flat[:, :2]))
     # on nodes 1.5 and 2 mm apart: 2.5 um and 4 um at the rim; the camera sees 19
     np.testing.assert_allclose(found, flat + basis @ c.T, atol=6e-6)
     assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-12

@@ -54,13 +54,13 @@ def write(
         }
         text = task or episode.task
         mine = features_of(episode, images)
-        block, own = _episode(episode, k, total, fps, tasks.index(text), mine, videos)
+        block, episode_rows = _episode(episode, k, total, fps, tasks.index(text), mine, videos)
         row = _episode_row(episode, k, total, text, writer.add(block), videos, fps)
-        for name, values in own.items():
+        for name, values in episode_rows.items():
             row |= {f"stats/{name}/{kind}": value for kind, value in values.items()}
         rows.append(row)
         total += len(episode.recording)
-        stats.append(own)
+        stats.append(episode_rows)
         _keep_files(out, k, episode)
     writer.close()
     _write_meta(out, episodes, features, rows, tasks, stats, fps, total)

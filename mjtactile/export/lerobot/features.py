@@ -119,7 +119,9 @@ def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     kind, channels = IMAGES[images]
     if not kind:
         return {}
-    first: tuple[Image, ...] = next((own for own in episode.recording.images() if own), ())
+    first: tuple[Image, ...] = next(
+        (cycle_images for cycle_images in episode.recording.images() if cycle_images), ()
+    )
     names = ["height", "width", "channels"]
     found = {}
     for k, (finger, image) in enumerate(zip(episode.fingers, first, strict=False)):

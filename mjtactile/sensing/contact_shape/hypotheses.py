@@ -224,11 +224,11 @@ def _best(candidates: list[Candidate], noise: float) -> Candidate:
     weights = []
     for candidate in candidates:
         kinds = kinds_of(candidate.family, candidate.fit.theta, candidate.fit.cov_with(noise))
-        own = {
+        weighted = {
             kind: fraction * math.exp(candidate.log - maximum) for kind, fraction in kinds.items()
         }
-        weights.append(own)
-        for kind, weight in own.items():
+        weights.append(weighted)
+        for kind, weight in weighted.items():
             sums[kind] = sums.get(kind, 0.0) + weight
     kind = max(sums, key=lambda name: sums[name])
     return candidates[max(range(len(weights)), key=lambda n: weights[n].get(kind, 0.0))]

@@ -49,9 +49,9 @@ class ShapeFilter:
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
         seen, information = _information_of(fit)
-        own = np.eye(len(information)) + seen @ _model_error_variance(fit, self.coarse)
-        seen = np.linalg.solve(own, seen)
-        information = np.linalg.solve(own, information)
+        inflation = np.eye(len(information)) + seen @ _model_error_variance(fit, self.coarse)
+        seen = np.linalg.solve(inflation, seen)
+        information = np.linalg.solve(inflation, information)
         drift = self.drift + _heavy_tailed(
             self._squared_distance(seen, information), len(information)
         )

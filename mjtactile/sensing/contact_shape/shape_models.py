@@ -107,7 +107,7 @@ class ShapeModel:
         """Return parameters relative to the guess `new` instead of the guess `old`."""
         if self.parts:
             given = zip(self.parts, self.split(theta), old.parts, new.parts, strict=True)
-            return np.concatenate([part.rebased(own, a, b) for part, own, a, b in given])
+            return np.concatenate([part.rebased(values, a, b) for part, values, a, b in given])
         moved = theta.copy()
         moved[:2] += 1e3 * (old.position - new.position)
         moved[2] += 1e3 * (old.height - new.height)

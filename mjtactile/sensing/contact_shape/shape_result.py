@@ -128,9 +128,9 @@ def _several(
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
     for index, part in enumerate(family.parts):
-        own = slice(ends[index], ends[index + 1])
+        part_slice = slice(ends[index], ends[index + 1])
         carried = np.where(nearest == index, force, 0.0)
-        kinds = kinds_of(part, thetas[index], cov[own, own])
+        kinds = kinds_of(part, thetas[index], cov[part_slice, part_slice])
         total = _ContactSummary(
             sizes[index],
             carry[index] * load,
@@ -141,7 +141,7 @@ def _several(
             part,
             thetas[index],
             found.hint.parts[index],
-            cov[own, own],
+            cov[part_slice, part_slice],
             max(kinds, key=lambda name: kinds[name]),
             dict.fromkeys(SHAPES, 0.0) | kinds,
             total,

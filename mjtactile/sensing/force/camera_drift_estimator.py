@@ -51,7 +51,7 @@ class CameraDriftEstimate:
 
 
 def observed_modes(
-    design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, own: FiducialSettings
+    design: SensorDesign, p_SM: Array, darker: Array, s: InverseSettings, settings: FiducialSettings
 ) -> Array:
     """Return the apparent marker motion (m, 3, OBSERVED_MODES), m. It is the motion for one
     standard deviation of each mode observed by fiducials. Arguments are those of `camera_modes`."""
@@ -59,8 +59,8 @@ def observed_modes(
     modes[:, :, :MODES] = camera_modes(design, p_SM, darker, s)
     depth = p_SM[:, 2] + design.camera.distance - design.apparent_glass_thickness
     modes[:, 2, _ZOOM] = -s.drift_zoom * depth
-    modes[:, 0, MODES] = own.center_sd * depth / design.camera.fx
-    modes[:, 1, MODES + 1] = own.center_sd * depth / design.camera.fy
+    modes[:, 0, MODES] = settings.center_sd * depth / design.camera.fx
+    modes[:, 1, MODES + 1] = settings.center_sd * depth / design.camera.fy
     return modes
 
 
@@ -73,15 +73,19 @@ class CameraDriftEstimator:
         camera: Camera,
         fiducials: Fiducials,
         s: InverseSettings,
-        own: FiducialSettings,
+        fiducial_settings: FiducialSettings,
     ):
         self.design = design
         self.camera = camera
         self._s = s
-        self._own = own
+        self._own = fiducial_settings
         # standard deviations (3,) not covered by the covariance of the image stages, px
-        size = own.glass_size if fiducials.surface == "glass" else own.floor
-        self._floor = np.array([own.floor, own.floor, size])
+        size = (
+            fiducial_settings.glass_size
+            if fiducials.surface == "glass"
+            else fiducial_settings.floor
+        )
+        self._floor = np.array([fiducial_settings.floor, fiducial_settings.floor, size])
         self._p_CF = fiducials.p_SF(design) - design.camera.p_SC
         angle = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
         ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_AROUND)])

@@ -54,15 +54,15 @@ class PlaneContactSolver:
         self._loaded = loaded
         membrane = loaded.membrane
         ax, ay = membrane.axes
-        own = product(ax.points, ay.points)
-        self._X = membrane.positions(own)  # (q, 2), m
-        self._basis = membrane.basis(own)  # (q, n)
+        parametric = product(ax.points, ay.points)
+        self._X = membrane.positions(parametric)  # (q, 2), m
+        self._basis = membrane.basis(parametric)  # (q, n)
         self._stiffness = _STIFFNESS * membrane.weights.ravel()  # of each point, N/m
         overlap = np.tril(self._basis.T @ self._basis != 0)
         self._pairs = np.nonzero(overlap)
         rows = hats(loaded.x, ax.points)[0][:, 1:-1], hats(loaded.y, ay.points)[0][:, 1:-1]
-        self._hats = np.einsum("qi,rj->qrij", *rows).reshape(len(own), -1)  # (q, J)
-        seats = membrane.own(loaded.design.markers.p_SM[:, :2])
+        self._hats = np.einsum("qi,rj->qrij", *rows).reshape(len(parametric), -1)  # (q, J)
+        seats = membrane.parametric(loaded.design.markers.p_SM[:, :2])
         at = hats(loaded.x, seats[:, 0])[0][:, 1:-1], hats(loaded.y, seats[:, 1])[0][:, 1:-1]
         layout = loaded.design.markers
         edge_distance = loaded.design.frame.inside(layout.p_SM[:, :2])
@@ -89,10 +89,10 @@ class PlaneContactSolver:
         if under.sum() <= 3:
             return None
         p = markers.p_SM
-        own = np.column_stack([np.ones(len(p)), p[:, :2]])
-        plane, *_ = np.linalg.lstsq(own[under], p[under, 2], rcond=None)
+        design_matrix = np.column_stack([np.ones(len(p)), p[:, :2]])
+        plane, *_ = np.linalg.lstsq(design_matrix[under], p[under, 2], rcond=None)
         sd = np.sqrt(markers.cov_p[:, 2, 2] + self._loaded.settings.face_floor[2] ** 2)
-        residual = (p[:, 2] - own @ plane) / sd
+        residual = (p[:, 2] - design_matrix @ plane) / sd
         curved = np.sqrt(np.square(residual[under]).mean()) > flat
         return None if curved or residual.max() > 2 * flat else plane
 
@@ -154,7 +154,7 @@ class PlaneContactSolver:
         modes = (weights @ drift).reshape(3 * len(ids), -1)
         inner = np.eye(modes.shape[1]) + modes.T @ modes
         at_markers = self._loaded.membrane.basis(
-            self._loaded.membrane.own(self._loaded.design.markers.p_SM[ids, :2])
+            self._loaded.membrane.parametric(self._loaded.design.markers.p_SM[ids, :2])
         )
         material = self._loaded.design.markers.p_SM[ids]
         for _ in range(_FITS):
@@ -192,8 +192,8 @@ class PlaneContactSolver:
             state = self._loaded.state(c, rest)
             pressure, gas_stiffness = membrane.gas_pressure(state, rest.gas)
             u = self._basis @ c.T
-            own = np.column_stack([np.ones(len(u)), self._X + u[:, :2]])
-            gap = u[:, 2] - own @ plane
+            design_matrix = np.column_stack([np.ones(len(u)), self._X + u[:, :2]])
+            gap = u[:, 2] - design_matrix @ plane
             touching = np.where(gap > 0, self._stiffness, 0.0)
             pressing = touching * gap
             load = -np.outer(normal, pressing @ self._basis)
@@ -206,7 +206,7 @@ class PlaneContactSolver:
             if largest < _CONVERGED:
                 moved = [
                     stiffness.solve(np.outer(normal, (touching * column) @ self._basis))
-                    for column in own.T
+                    for column in design_matrix.T
                 ]
                 grown = [float((state.gradient * displacement).sum()) for displacement in moved]
                 return _Equilibrium(

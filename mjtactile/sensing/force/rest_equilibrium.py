@@ -68,7 +68,7 @@ class MarkedMembrane:
         self.rubber = None if relaxation is None else RelaxingMembrane(self.membrane, relaxation)
         self._quick = 1.0 if relaxation is None else relaxation.quick
         self._material = design.markers.p_SM
-        self._seats = np.ascontiguousarray(self.membrane.own(self._material[:, :2]))
+        self._seats = np.ascontiguousarray(self.membrane.parametric(self._material[:, :2]))
         self._at_markers = self.membrane.basis(self._seats)
 
     def rest_state(
@@ -191,9 +191,9 @@ def bulge_misfit(
     fraction = s.lens_fraction_measured if lens_measured else s.lens_fraction
     modes = fraction * z[:, None] * np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     lens = (s.lens_rest + s.lens_rest_per_px * flat_px) * z
-    own = markers.cov_p[:, 2, 2] + s.bulge_floor**2 + lens**2
+    variance = markers.cov_p[:, 2, 2] + s.bulge_floor**2 + lens**2
     residual = markers.p_SM[:, 2] - z
-    return float(residual @ np.linalg.solve(modes @ modes.T + np.diag(own), residual)) / len(
+    return float(residual @ np.linalg.solve(modes @ modes.T + np.diag(variance), residual)) / len(
         residual
     )
 

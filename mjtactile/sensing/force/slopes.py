@@ -25,9 +25,9 @@ class MarkerSlopes:
         self, membrane: SplineMembrane, p_SM: Array, distance: float, settings: InverseSettings
     ):
         self._settings = settings
-        own = membrane.own(p_SM[:, :2])
-        self._along_x, self._along_y = membrane.slopes(own)
-        self._turns = None if membrane.design.frame.outline is None else membrane.turns(own)
+        parametric = membrane.parametric(p_SM[:, :2])
+        self._along_x, self._along_y = membrane.slopes(parametric)
+        self._turns = None if membrane.design.frame.outline is None else membrane.turns(parametric)
         self._behind = np.array([0.0, 0.0, distance])
 
     def off(self, markers: Markers, c: Array) -> Array:

@@ -142,53 +142,53 @@ class SplineMembrane:
 
     # -- positions
 
-    def basis(self, own: Array) -> Array:
+    def basis(self, parametric: Array) -> Array:
         """Return the spline values (N, n) at the membrane's parametric coordinates (N, 2), m."""
         ax, ay = self.axes
-        return _products(ax.at(own[:, 0]), ay.at(own[:, 1]))
+        return _products(ax.at(parametric[:, 0]), ay.at(parametric[:, 1]))
 
-    def slopes(self, own: Array) -> tuple[Array, Array]:
+    def slopes(self, parametric: Array) -> tuple[Array, Array]:
         """Return the spline derivatives (N, n) by X and by Y, 1/m, at parametric coordinates."""
         ax, ay = self.axes
-        x, y = own.T
+        x, y = parametric.T
         by_x = _products(ax.at(x, 1), ay.at(y))
         by_y = _products(ax.at(x), ay.at(y, 1))
         if self._turns is None:
             return by_x, by_y
-        (xX, xY), (yX, yY) = self.turns(own).transpose(1, 2, 0)[..., None]
+        (xX, xY), (yX, yY) = self.turns(parametric).transpose(1, 2, 0)[..., None]
         return xX * by_x + yX * by_y, xY * by_x + yY * by_y
 
-    def own(self, X: Array) -> Array:
+    def parametric(self, X: Array) -> Array:
         """Return the parametric coordinates (N, 2), m, of positions X (N, 2), m, on the mounted
         membrane."""
         outline = self.design.frame.outline
         return X if outline is None else outline.square(X) * self._half
 
-    def positions(self, own: Array) -> Array:
+    def positions(self, parametric: Array) -> Array:
         """Return the positions (N, 2), m, on the mounted membrane at parametric coordinates (N, 2),
         m."""
         outline = self.design.frame.outline
-        return own if outline is None else outline.plane(own / self._half)
+        return parametric if outline is None else outline.plane(parametric / self._half)
 
-    def turns(self, own: Array) -> Array:
+    def turns(self, parametric: Array) -> Array:
         """Return the derivatives (N, 2, 2) of the parametric coordinates by X and Y."""
         outline = self.design.frame.outline
         if outline is None:
-            return np.broadcast_to(np.eye(2), (len(own), 2, 2))
-        return np.linalg.inv(outline.jacobian(own / self._half) / self._half)
+            return np.broadcast_to(np.eye(2), (len(parametric), 2, 2))
+        return np.linalg.inv(outline.jacobian(parametric / self._half) / self._half)
 
-    def density(self, own: Array) -> Array:
+    def density(self, parametric: Array) -> Array:
         """Return the ratio (N,) of area on the mounted membrane to area in parametric
         coordinates."""
-        return 1 / np.linalg.det(self.turns(own))
+        return 1 / np.linalg.det(self.turns(parametric))
 
     @property
     def _half(self) -> Array:
         return np.array([axis.length for axis in self.axes]) / 2
 
-    def _map_derivatives(self, own: Array) -> Array:
+    def _map_derivatives(self, parametric: Array) -> Array:
         """Return the map's derivatives and area ratio (N, 5) in the kernels' layout."""
-        return np.column_stack([self.turns(own).reshape(-1, 4), self.density(own)])
+        return np.column_stack([self.turns(parametric).reshape(-1, 4), self.density(parametric)])
 
     # -- one state
 

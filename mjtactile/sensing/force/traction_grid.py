@@ -29,15 +29,15 @@ class LoadedMembrane(MarkedMembrane):
         hat_x = hats(self.x, ax.points)[0][:, 1:-1]
         hat_y = hats(self.y, ay.points)[0][:, 1:-1]
         self._hats = (hat_x, hat_y)
-        own = product(self.x[1:-1], self.y[1:-1])
+        parametric = product(self.x[1:-1], self.y[1:-1])
         # Areas (J,), m^2, in parametric coordinates, and the ratio of mounted to parametric area.
         # Kernels take tractions per parametric area, so that their integrals are products.
         self._cells = np.outer(ax.weights @ hat_x, ay.weights @ hat_y).ravel()
-        self._density = self.membrane.density(own)
+        self._density = self.membrane.density(parametric)
         self.node_area = self._cells * self._density  # (J,) m^2
-        self.nodes = self.membrane.positions(own)
+        self.nodes = self.membrane.positions(parametric)
         self._flat_nodes = np.column_stack([self.nodes, np.zeros(len(self.nodes))])
-        self._at_nodes = self.membrane.basis(own)
+        self._at_nodes = self.membrane.basis(parametric)
         self._shared = self._sharing()
         fine_x = np.linspace(-ax.length / 2, ax.length / 2, REFINE * ax.spans + 1)
         fine_y = np.linspace(-ay.length / 2, ay.length / 2, REFINE * ay.spans + 1)

@@ -110,7 +110,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
     """Gauss-Newton for log gamma and every circle's parameters at once."""
     log_gamma = float(np.log(s.start_gamma))
     step = np.inf
-    own = np.zeros(len(theta))
+    single = np.zeros(len(theta))
     sd = np.ones(len(theta))
     for k in range(_STEPS):
         level, G, by_gamma = _levels(pixels, theta, float(np.exp(log_gamma)))
@@ -127,18 +127,18 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
             pixels.sums(weight) - edge_fit.PARAMETERS, 1
         )
         known = information > 0  # rounding may leave nothing where a fit is degenerate
-        own = np.divide(pull, information, out=np.zeros(len(theta)), where=known)
+        single = np.divide(pull, information, out=np.zeros(len(theta)), where=known)
         sd = np.full(len(theta), np.inf)
         np.sqrt(np.divide(variance, information, out=sd, where=known), out=sd)
         total = (1 / sd**2).sum()
-        mean = (own / sd**2).sum() / total if total > 0 else 0.0
+        mean = (single / sd**2).sum() / total if total > 0 else 0.0
         step = float(np.clip(mean, -_MAX_STEP, _MAX_STEP))
         theta = _bounded_step(theta, solved[..., 0] - solved[..., 1] * step)
         log_gamma += step
         if abs(step) < _SETTLED:
             break
     settled = abs(step) < _SETTLED and float(np.median(theta[:, 9])) >= s.min_blur
-    return _from_estimate(log_gamma, own, sd, s) if settled else UNKNOWN
+    return _from_estimate(log_gamma, single, sd, s) if settled else UNKNOWN
 
 
 def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
@@ -170,15 +170,15 @@ def _bounded_step(theta: Array, change: Array) -> Array:
     return new
 
 
-def _from_estimate(log_gamma: float, own: Array, sd: Array, s: GammaSettings) -> Gamma:
+def _from_estimate(log_gamma: float, single: Array, sd: Array, s: GammaSettings) -> Gamma:
     """Return the common gamma, with a standard deviation that includes the scatter of circles.
-    `own` are the deviations of the circles from it. It is unknown if it is not plausible for a
+    `single` are the deviations of the circles from it. It is unknown if it is not plausible for a
     camera."""
-    good = np.isfinite(own) & np.isfinite(sd)
+    good = np.isfinite(single) & np.isfinite(sd)
     gamma = float(np.exp(log_gamma))
     if good.sum() < s.min_circles or not s.range[0] <= gamma <= s.range[1]:
         return UNKNOWN
-    scatter = max(float(np.median(np.abs(own[good]) / sd[good])) / 0.6745, 1.0)
+    scatter = max(float(np.median(np.abs(single[good]) / sd[good])) / 0.6745, 1.0)
     return Gamma(
         gamma,
         gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.model_sd_fraction)),

@@ -138,12 +138,12 @@ def _followed(
         return ids, skin
     expected = skin.positions + _motion(skin, centers, np.array(size_px))
     distance = np.linalg.norm(expected[:, None] - centers[None], axis=2)
-    own = distance.argmin(axis=1)
+    nearest = distance.argmin(axis=1)
     # one-to-one: each circle matches one tracked circle
-    mutual = distance.argmin(axis=0)[own] == np.arange(len(expected))
-    mutual &= distance[np.arange(len(expected)), own] < _GATE * skin.pitch
-    ids[complete[own[mutual]]] = np.flatnonzero(mutual)
-    expected[mutual] = centers[own[mutual]]
+    mutual = distance.argmin(axis=0)[nearest] == np.arange(len(expected))
+    mutual &= distance[np.arange(len(expected)), nearest] < _GATE * skin.pitch
+    ids[complete[nearest[mutual]]] = np.flatnonzero(mutual)
+    expected[mutual] = centers[nearest[mutual]]
     new = distance.min(axis=0) > _NEW * skin.pitch
     ids[complete[new]] = len(expected) + np.arange(int(new.sum()))
     return ids, _Skin(np.concatenate([expected, centers[new]]), skin.pitch, skin.size)

@@ -81,8 +81,10 @@ class SharedDepth:
             # an error e = z d(ray) + ray dz: the first part stays, scaled; dz is the spline's
             across = np.tile(np.eye(3), (len(ray), 1, 1))
             across[:, :, 2] -= ray
-            own = across @ matrix[self.at] @ across.transpose(0, 2, 1) * (scale**2)[:, None, None]
-            matrix[self.at] = own + np.einsum("n,ni,nj->nij", self.sd**2, ray, ray)
+            at_circles = (
+                across @ matrix[self.at] @ across.transpose(0, 2, 1) * (scale**2)[:, None, None]
+            )
+            matrix[self.at] = at_circles + np.einsum("n,ni,nj->nij", self.sd**2, ray, ray)
             center[self.at] *= scale[:, None]  # both solutions are equally far away
         return replace(poses, p_CM=p, p_CM_alt=alt, cov_p=cov), cov_alt
 

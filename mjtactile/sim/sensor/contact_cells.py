@@ -167,10 +167,10 @@ def standoff(
     # averages over opposite directions, which remove the membrane's own slope
     even = [np.maximum((rise[:, :4] + rise[:, 4:]) / 2, 0.0) for rise in (near, far)]
     shape = subgrid_indentation.profile(even[0], even[1], _RINGS)
-    own, radii = subgrid_indentation.depth_beyond_mesh(loads, *shape, width)
+    depths, radii = subgrid_indentation.depth_beyond_mesh(loads, *shape, width)
     positions = flat / cells.sizes[:, None]
     others = subgrid_indentation.depth_of_neighbours(loads, radii, positions, positions + at)
-    return np.maximum(own + others, 0.0)
+    return np.maximum(depths + others, 0.0)
 
 
 def angles_of(cells: Cells, core: Array, at: Array) -> Array:

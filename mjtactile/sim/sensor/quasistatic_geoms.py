@@ -127,8 +127,8 @@ def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
     link = welds[body]
     # as MuJoCo's filter: mocap bodies are fixed to the world, which is no link
     fixed = np.asarray(model.body_weldid)
-    own = fixed[body]
-    above = fixed[model.body_parentid[own]] if own else 0
+    link_body = fixed[body]
+    above = fixed[model.body_parentid[link_body]] if link_body else 0
     neighbors = (fixed == above) & (above != 0)
     signatures = np.asarray(model.exclude_signature, np.int64)
     pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)

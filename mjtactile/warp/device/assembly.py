@@ -97,9 +97,11 @@ def prepare_heights(
         if membrane.free[k] > 0:
             for side in range(4):
                 other = k + side_step(side, ny)
-                own = fields.spring[f, side, k]
-                if own > 0.0:
-                    r += own * (fields.u[f, 2, other] - z - face_rise(membrane, fields, f, k, side))
+                spring = fields.spring[f, side, k]
+                if spring > 0.0:
+                    r += spring * (
+                        fields.u[f, 2, other] - z - face_rise(membrane, fields, f, k, side)
+                    )
                 back = side + 1 - 2 * (side % 2)
                 theirs = fields.spring[f, back, other]
                 if theirs > 0.0:

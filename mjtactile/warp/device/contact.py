@@ -234,8 +234,8 @@ def patch_stiffness(patch: Patch, normal: float, spacing: float) -> wp.spatial_v
     tilt = _TILT * normal * arm * arm
     found = wp.spatial_vector(0.0, 0.0, normal, tilt, tilt, tilt)
     if patch.slides == 0:
-        own = wp.get_diag(patch.grip)
-        found = wp.spatial_vector(own[0], own[1], normal, tilt, tilt, own[2])
+        diagonal = wp.get_diag(patch.grip)
+        found = wp.spatial_vector(diagonal[0], diagonal[1], normal, tilt, tilt, diagonal[2])
     return found
 
 

@@ -149,9 +149,9 @@ def disturb_worlds(
             smallest = wp.min(smallest, friction)
         for g in range(starts.geoms.shape[0]):
             geom = starts.geoms[g]
-            own = scene.friction[geom]
-            surface = wp.min(starts.friction[row, 0] * own[0], smallest)
-            scene.geom_friction[world, geom] = wp.vec3(surface, own[1], own[2])
+            compiled = scene.friction[geom]
+            surface = wp.min(starts.friction[row, 0] * compiled[0], smallest)
+            scene.geom_friction[world, geom] = wp.vec3(surface, compiled[1], compiled[2])
         for e in range(events.shape[1]):
             kind = int(events[row, e, 0])
             passed = since - events[row, e, 1]

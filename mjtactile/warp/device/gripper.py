@@ -117,9 +117,9 @@ def limit_force(drive: Drive, world: int, force: float) -> None:
     """Limit the force on each finger, N."""
     for k in range(drive.jaws.shape[0]):
         jaw = drive.jaws[k]
-        own = force / drive.fraction * wp.abs(drive.ratios[k])
-        low = wp.max(-own, drive.force_range[jaw][0])
-        drive.forces[world, jaw] = wp.vec2(low, wp.min(own, drive.force_range[jaw][1]))
+        joint_force = force / drive.fraction * wp.abs(drive.ratios[k])
+        low = wp.max(-joint_force, drive.force_range[jaw][0])
+        drive.forces[world, jaw] = wp.vec2(low, wp.min(joint_force, drive.force_range[jaw][1]))
 
 
 @wp.kernel

@@ -195,8 +195,10 @@ def _change(starts: Starts, scene: Scene, w: int, row: int) -> None:
         scene.geom_dataid[w, geom] = starts.objects.mesh[k, g]
         for c in range(2):
             scene.geom_aabb[w, geom, c] = s * starts.objects.box[k, g, c]
-        own = scene.friction[geom]
-        scene.geom_friction[w, geom] = wp.vec3(starts.friction[row, 0] * own[0], own[1], own[2])
+        friction = scene.friction[geom]
+        scene.geom_friction[w, geom] = wp.vec3(
+            starts.friction[row, 0] * friction[0], friction[1], friction[2]
+        )
     p = scene.body_pos[w, scene.gripper]
     p[2] = scene.height + starts.objects.rise[k]
     scene.body_pos[w, scene.gripper] = p

@@ -27,7 +27,7 @@ ROUNDED = replace(ROUND.frame, shape="rounded", width=20e-3, corner_radius=4e-3)
 def by_splines(design, pressure, spans):
     rubber = SplineMembrane(design, spans)
     c = rubber.equilibrium(Gas(pressure))
-    center = rubber.own(np.zeros((1, 2))) if design.frame.outline else np.zeros((1, 2))
+    center = rubber.parametric(np.zeros((1, 2))) if design.frame.outline else np.zeros((1, 2))
     return float((rubber.basis(center) @ c[2])[0])
 
 
