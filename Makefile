@@ -12,7 +12,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
 VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
-PYRIGHT = $(BIN)/pyright --warnings --level error --threads 2
+PYRIGHT = $(BIN)/pyright --warnings --level error
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 # Python compiles a module when it is imported first. Compiling all modules of all packages takes a third of the installation.
 INSTALL := $(PIP) install --no-compile
@@ -62,8 +62,8 @@ test: first  ## lint, import contracts, and the tests of what users do (below 5 
 
 test-all: test slow  ## all that CI runs: `make test`, then types and the other tests (below 10 minutes)
 
-# Types run at the same time as the tests: pyright uses one processor while it starts, pytest while it collects. Types take a
-# fifth of the time of the first tier and do not show that a command fails, so they are in the second.
+# Types run at the same time as the tests: pyright uses one processor while it starts, pytest while it collects. A second
+# thread of pyright would read most files again: a quarter more of a processor's time. Types take a fifth of the time of the first tier and do not show that a command fails, so they are in the second.
 slow: $(VENV)/.test-ready  ## what `make test` leaves out: types, long tests, and whole rigs of emulated hardware
 	$(PYRIGHT) & types=$$!; $(BIN)/pytest $(SECOND) || { kill $$types; exit 1; }; wait $$types
 	$(BIN)/pytest $(SECOND_CLOCK)
@@ -79,7 +79,7 @@ lint: $(VENV)/.test-ready  ## style and likely bugs (ruff), and the language (to
 	$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --diff . | head -50; exit 1; }
 
 types: $(VENV)/.test-ready  ## types (pyright)
-	$(PYRIGHT)
+	$(PYRIGHT) --threads 2
 
 contracts: $(VENV)/.test-ready  ## who may import whom (import-linter)
 	$(BIN)/lint-imports --no-cache
