@@ -63,7 +63,8 @@ test: first  ## lint, import contracts, and the tests of what users do (below 5 
 test-all: test slow  ## all that CI runs: `make test`, then types and the other tests (below 10 minutes)
 
 # Types run at the same time as the tests: pyright uses one processor while it starts, pytest while it collects. A second
-# thread of pyright would read most files again: a quarter more of a processor's time. Types take a fifth of the time of the first tier and do not show that a command fails, so they are in the second.
+# thread of pyright would read most files again, which takes a quarter more of a processor's time. Types take a fifth of the
+# time of the first tier and do not show that a command fails, so they are in the second.
 slow: $(VENV)/.test-ready  ## what `make test` leaves out: types, long tests, and whole rigs of emulated hardware
 	$(PYRIGHT) & types=$$!; $(BIN)/pytest $(SECOND) || { kill $$types; exit 1; }; wait $$types
 	$(BIN)/pytest $(SECOND_CLOCK)
