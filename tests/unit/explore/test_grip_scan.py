@@ -88,7 +88,7 @@ def ball_patch(way, shift, group=0, loose=0.0):
 
 
 @pytest.mark.slow
-def test_a_grip_that_pushed_the_object_aside_spoils_no_size():
+def test_a_grip_that_pushed_the_object_aside_spoils_no_size(two_families):
     # four grips, three of them shifted by up to 1 mm; a grip's two patches have the shift in common
     rng = np.random.default_rng(4)
     shifts = [np.zeros(3), *rng.normal(0, 7e-4, (3, 3))]

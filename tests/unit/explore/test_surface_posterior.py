@@ -245,7 +245,7 @@ def test_the_mesh_is_closed_and_has_the_ellipsoids_volume(explored):
 
 
 @pytest.mark.slow
-def test_an_outlier_does_not_change_the_surface(explored):
+def test_an_outlier_does_not_change_the_surface(explored, two_families):
     patches, surface = explored
     points = patches[1].points.copy()
     points[3] += 7e-4 * patches[1].normal  # a patch that was taken to be wider than it is

@@ -68,7 +68,7 @@ def ball_patch(way, radius_mm):
 
 
 @pytest.mark.slow
-def test_touches_that_disagree_make_every_place_less_sure():
+def test_touches_that_disagree_make_every_place_less_sure(two_families):
     """A ball touched in six places; then every other touch found 0.3 mm less: of no family."""
     directions = np.random.default_rng(2).normal(size=(6, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
