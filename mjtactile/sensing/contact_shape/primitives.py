@@ -215,15 +215,15 @@ def block_starts(hint: InitialGuess) -> tuple[Array, ...]:
 def _distance_to_edge(frame: Array, position: Array, along: Array) -> tuple[float, float]:
     """Return the backward and forward distances, m, along a line through `position` to a rectangle
     with half-extents `frame` (2,)."""
-    distances = []
-    for sign in (-1.0, 1.0):
-        far = [
-            (side - at if sign * direction > 0 else side + at) / abs(direction)
-            for side, at, direction in zip(frame, position, along, strict=False)
-            if abs(direction) > 1e-9
-        ]
-        distances.append(max(min(far), 1e-3))
-    return distances[0], distances[1]
+    back = forth = math.inf
+    for axis, side in enumerate(frame.tolist()):  # floats: arrays of two take ten times as long
+        step = float(along[axis])
+        if abs(step) < 1e-9:
+            continue
+        ahead = math.copysign(float(position[axis]), position[axis] * step)
+        back = min(back, (side + ahead) / abs(step))
+        forth = min(forth, (side - ahead) / abs(step))
+    return max(back, 1e-3), max(forth, 1e-3)
 
 
 def _directions_in_ellipse(half: Array, position: Array, along: Array) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.types import SHAPES, Array, ContactShape
 from mjtactile.sensing.contact_shape.contact_area import areas, nearest_part, shares
@@ -290,20 +291,29 @@ def _pose_cov(cov: Array, turns: _Rotations) -> Array:
 def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
     """Return the border (P, 2), m, of the contact region, interpolated between the nodes. In that
     region the contact `force` (nx, ny), N, exceeds half of its median."""
-    if not (force > 0).any():
+    pressed = force > 0
+    if not pressed.any():
         return np.zeros((0, 2))
-    across, along = (_interpolation_matrix(count) for count in force.shape)
-    fine = across @ force @ along.T
-    inside = (fine > 0.5 * float(np.median(force[force > 0]))).astype(np.uint8)
+    window = tuple(_window(pressed.any(axis=axis)) for axis in (1, 0))
+    across, along = (_interpolation_matrix(part.stop - part.start) for part in window)
+    fine = across @ force[window] @ along.T
+    inside = (fine > 0.5 * float(np.median(force[pressed]))).astype(np.uint8)
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return np.zeros((0, 2))
     b, a = max(contours, key=cv2.contourArea)[:, 0].T
     x, y = (
-        nodes + moved
+        nodes[window] + moved[window]
         for nodes, moved in zip(forward.nodes, found.state.displacements, strict=False)
     )
     return np.column_stack([((across[a] @ field) * along[b]).sum(axis=1) for field in (x, y)])
+
+
+def _window(pressed: NDArray[np.bool_]) -> slice:
+    """Return the range of the lines of nodes that are `pressed` (n,), with one more on each
+    side."""
+    lines = np.flatnonzero(pressed)
+    return slice(max(int(lines[0]) - 1, 0), min(int(lines[-1]) + 2, len(pressed)))
 
 
 @cache
