@@ -294,8 +294,8 @@ def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
     pressed = force > 0
     if not pressed.any():
         return np.zeros((0, 2))
-    window = tuple(_window(pressed.any(axis=axis)) for axis in (1, 0))
-    across, along = (_interpolation_matrix(part.stop - part.start) for part in window)
+    window = tuple(_window(lines) for lines in np.nonzero(pressed))
+    across, along = (_interpolation_matrix(count) for count in force[window].shape)
     fine = across @ force[window] @ along.T
     inside = (fine > 0.5 * float(np.median(force[pressed]))).astype(np.uint8)
     contours, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -309,11 +309,9 @@ def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
     return np.column_stack([((across[a] @ field) * along[b]).sum(axis=1) for field in (x, y)])
 
 
-def _window(pressed: NDArray[np.bool_]) -> slice:
-    """Return the range of the lines of nodes that are `pressed` (n,), with one more on each
-    side."""
-    lines = np.flatnonzero(pressed)
-    return slice(max(int(lines[0]) - 1, 0), min(int(lines[-1]) + 2, len(pressed)))
+def _window(lines: NDArray[np.intp]) -> slice:
+    """Return the range of the `lines` of nodes (n,), with one more on each side."""
+    return slice(max(int(lines.min()) - 1, 0), int(lines.max()) + 2)
 
 
 @cache
