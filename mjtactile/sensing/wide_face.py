@@ -23,6 +23,7 @@ from mjtactile.sensing.force.linearization import PlaneContact, Shape
 from mjtactile.sensing.pipeline_state import DISPLACED_IMAGES, PipelineState
 from mjtactile.sensing.settings import InverseSettings, Settings
 
+_SAME_LOAD = 0.5  # N; maximum load change in an image in which the camera changes, too
 _CERTAIN = 30.0  # log ratio of probabilities beyond which the less likely one is zero
 
 
@@ -155,7 +156,7 @@ class WideFaceTest:
             rival = fit(other)
             likelier = rival.shape.log_evidence - self._settings.face_change > lowest
             if evidence is None:
-                likelier = likelier and self._load_change(state, rival) < self._settings.face_load
+                likelier = likelier and self._load_change(state, rival) < _SAME_LOAD
             if likelier and not self._gained_gas(state, rival, image.reading):
                 return True
         return False

