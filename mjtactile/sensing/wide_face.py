@@ -138,9 +138,9 @@ class WideFaceTest:
     ) -> bool:
         """Return True if a changed camera, or lost gas, explains the image better than a face.
 
-        While a face is in contact, its load is not interpreted as such a change. The evidence of a
-        plane on the frame is unknown, because its equilibrium is. It exceeds that of a compact
-        contact, but a camera and a load that change in the same image are unlikely.
+        While a face is in contact, its load is not interpreted as such a change. A camera and a
+        load that change in the same image are unlikely. The evidence of a plane on the frame is
+        unknown, because its equilibrium is. It exceeds that of a compact contact.
 
         Args:
             state: State before the image.
@@ -155,9 +155,8 @@ class WideFaceTest:
         for other in self._changed(state, found):
             rival = fit(other)
             likelier = rival.shape.log_evidence - self._settings.face_change > lowest
-            if evidence is None:
-                likelier = likelier and self._load_change(state, rival) < _SAME_LOAD
-            if likelier and not self._gained_gas(state, rival, image.reading):
+            loaded = self._load_change(state, rival) > _SAME_LOAD
+            if likelier and not loaded and not self._gained_gas(state, rival, image.reading):
                 return True
         return False
 
