@@ -35,7 +35,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     notify = Progress().message
     for name in OBJECTS:
         for seed in SEEDS[:1] if quick else SEEDS:
-            row = _row(Scenario(object=name, seed=seed))
+            row = _row(Scenario(object=name, controller="gentle", seed=seed))
             rows.append(row)
             notify(_line(row))
     _plot(rows, out)

@@ -168,7 +168,11 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
                 Episode(
                     k,
                     Scenario(
-                        object=pair["object"], seed=k, effects=effects, randomization="default"
+                        object=pair["object"],
+                        controller="gentle",
+                        seed=k,
+                        effects=effects,
+                        randomization="default",
                     ),
                 )
             )

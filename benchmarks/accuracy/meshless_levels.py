@@ -149,7 +149,11 @@ def _outcomes(seed: int, number: int, count: int, notify: Notify) -> dict[str, s
     for effects in ("auto", QUASISTATIC, SAMPLED):
         notify(f"levels: episode {number + 1} of {count}, {effects}")
         scenario = Scenario(
-            object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
+            object=f"random:{seed}",
+            controller="gentle",
+            seed=seed,
+            effects=effects,
+            randomization="default",
         )
         ended[effects] = run_episode(Episode(number, scenario))["outcome"]
     return ended

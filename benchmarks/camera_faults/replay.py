@@ -44,7 +44,7 @@ class Grasp(Observer):
 def record(sensor: str, seed: int) -> Grasp:
     """Grasp an egg, with nothing wrong."""
     grasp = Grasp(load_sensor(sensor))
-    run_grasp(Scenario(object="egg", sensor=sensor, seed=seed), [grasp])
+    run_grasp(Scenario(object="egg", controller="gentle", sensor=sensor, seed=seed), [grasp])
     return grasp
 
 

@@ -140,7 +140,11 @@ def _pair(seed: int, number: int, count: int, notify: Notify) -> dict[str, Any]:
     for effects in PAIRED:
         notify(f"learning: episode {number + 1} of {count}, {effects}")
         scenario = Scenario(
-            object=f"random:{seed}", seed=seed, effects=effects, randomization="default"
+            object=f"random:{seed}",
+            controller="gentle",
+            seed=seed,
+            effects=effects,
+            randomization="default",
         )
         start = time.process_time()
         line = run_episode(Episode(number, scenario))

@@ -257,7 +257,7 @@ def outcome(seed: int) -> dict[str, Any]:
     result: dict[str, Any] = {"seed": seed}
     for rig in ("sim", "emulated"):
         try:
-            scenario = Scenario(object=OBJECT, rig=rig, seed=seed)
+            scenario = Scenario(object=OBJECT, controller="gentle", rig=rig, seed=seed)
             with tempfile.TemporaryDirectory() as folder:
                 with Recorder(folder, {}, frames=False) as recorder:
                     summary = run_grasp(scenario, [recorder]).summary()

@@ -81,7 +81,10 @@ def _command(home: Path) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         for name, words in (
             ("help_s", ["--help"]),
-            ("grasp_s", ["grasp", "--object", probe.OBJECT, "--out", "out"]),
+            (
+                "grasp_s",
+                ["grasp", "--object", probe.OBJECT, "--controller", "gentle", "--out", "out"],
+            ),
         ):
             start = time.perf_counter()
             subprocess.run(

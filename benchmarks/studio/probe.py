@@ -105,7 +105,7 @@ class Plain(Observer):
 def plain() -> dict[str, Any]:
     """Without."""
     recorder = Plain()
-    run_grasp(Scenario(), [recorder])
+    run_grasp(Scenario(controller="gentle"), [recorder])
     return _speed(recorder.cycles)
 
 

@@ -31,7 +31,7 @@ run. The lines do not depend on the number of workers."""
 EPILOG = """\
 examples:
   mjtactile evaluate --episodes 30
-      gentle; egg, strawberry and vial in turn
+      adaptive; egg, strawberry and vial in turn
   mjtactile evaluate --controller gentle --controller mine.py --episodes 100 --out runs/eval
   mjtactile evaluate --objects 'egg,random,my/*.xml' --episodes 200 --out runs/eval --resume
   mjtactile evaluate --randomization my_world.toml
@@ -60,7 +60,7 @@ def _shard(text: str) -> tuple[int, int]:
 ARGUMENTS = (
     arg.option(
         "--controller NAME",
-        "shipped name or FILE.py; repeatable, to compare controllers (default: gentle)",
+        "shipped name or FILE.py; repeatable, to compare controllers (default: adaptive)",
         action="append",
     ),
     arg.option(

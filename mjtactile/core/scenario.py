@@ -128,7 +128,7 @@ class Scenario:
 
     object: str = _file("object", "models/objects", ".xml", "random:N", default="egg")
     task: str = _file("task", "models/tasks", ".toml", default="lift")
-    controller: str = _file("controller", "controllers", ".py", default="gentle")
+    controller: str = _file("controller", "controllers", ".py", default="adaptive")
     rig: str = _file("rig", "models/rigs", ".toml", "replay:FOLDER", default="sim")
     sensor: str | SensorDesign = entry(_SENSOR, "dense")
     sensors: Mapping[str, str | SensorDesign] = entry(

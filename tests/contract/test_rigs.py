@@ -258,7 +258,7 @@ def test_a_replay_does_not_depend_on_the_sensors_file(tmp_path):
 
 
 def test_a_replay_reports_the_recorded_names_and_outcome(tmp_path):
-    """Not the defaults (egg, gentle, seed 0), nor an outcome of the replay, to which nothing
+    """Not the defaults (egg, seed 0), nor an outcome of the replay, to which nothing
     reacts."""
     names = {"object": "random:12", "controller": "adaptive", "seed": 12}
     scenario = Scenario(**names, task="shake")

@@ -185,7 +185,9 @@ def test_images_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
 
     monkeypatch.setattr("mjtactile.evaluate.worst_episodes.render", image)
     path = write_report(tmp_path, 1)
-    assert asked == [Episode(asked[0].index, Scenario(seed=3 + asked[0].index))]
+    assert asked == [
+        Episode(asked[0].index, Scenario(controller="gentle", seed=3 + asked[0].index))
+    ]
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()
 
 
