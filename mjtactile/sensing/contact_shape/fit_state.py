@@ -110,10 +110,7 @@ class Problem:
     def solve(self, theta: Array, start: MembraneSolution | None) -> MembraneSolution | None:
         """Solve the membrane on the shape with parameters `theta`, starting from `start` (None:
         from rest); None: the solver did not converge."""
-        obstacles = self.family.build(theta, self.hint)
-        if start is not None:
-            return self.forward.resume(obstacles, start)
-        batch = self.forward.solve([obstacles])
+        batch = self.forward.solve([self.family.build(theta, self.hint)], start)
         return batch[0] if converged(batch) else None
 
     def clip(self, theta: Array) -> Array:

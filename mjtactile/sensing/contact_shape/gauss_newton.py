@@ -20,8 +20,7 @@ from mjtactile.sensing.contact_shape.jacobian import Jacobian, approximate_jacob
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
-_DAMPING = (1e-2, 1e-8)  # first, minimum
-_REJECTED = 3  # shorter steps without gain that end a fit
+_DAMPING = (1e-2, 1e-8, 1e2)  # first, minimum, maximum
 _GOOD = 0.4  # fraction of the promised gain above which damping decreases
 _POLISHED = 1  # number of refinements with exact slopes
 _POLISHING = 2  # membrane solutions in each refinement
@@ -144,47 +143,34 @@ class Step:
 def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, damping: float) -> Step:
     """Compute one damped Gauss-Newton step with the Jacobian (n, k) of the whitened markers by the
     scaled parameters. It is limited per parameter to the range where the membrane responds about
-    linearly, and to the bounds of the model. Parameters that would exceed a limit are held there,
-    and the others are solved again."""
+    linearly."""
     gradient = J.T @ at.residual + prior.precision @ (at.theta / family.sd - prior.mean)
-    H = J.T @ J
-    diagonal = H.reshape(-1)[:: len(H) + 1]
-    damped = damping * (diagonal + 1e-3)
-    H += prior.precision
-    diagonal += damped
+    normal = J.T @ J
+    H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
     step = -np.linalg.solve(H, gradient)
-    straight = _straight(family, at.theta) / family.sd
-    cut = bool((np.abs(step) > straight).any())
-    lower = np.maximum(-straight, (family.low - at.theta) / family.sd)
-    upper = np.minimum(straight, (family.high - at.theta) / family.sd)
-    within = np.clip(step, lower, upper)
-    if (within != step).any():
-        within = _limited_step(H, gradient, step, lower, upper)
-    return Step(within, float(-(2 * gradient + H @ within) @ within), cut)
+    maximum = _straight(family, at.theta) / family.sd
+    far = np.abs(step) > maximum
+    cut = bool(far.any())
+    if cut:
+        step = _limited_step(H, gradient, step, maximum, far)
+    return Step(step, float(-(2 * gradient + H @ step) @ step), cut)
 
 
-def _limited_step(H: Array, gradient: Array, step: Array, lower: Array, upper: Array) -> Array:
-    """Return a step within its limits `lower` and `upper` (k,). Parameters beyond a limit are held
-    there, and the others are solved again. If the cost would not fall, the whole step is
+def _limited_step(
+    H: Array, gradient: Array, step: Array, maximum: Array, far: NDArray[np.bool_]
+) -> Array:
+    """Return a step within its limits. Parameters that would go too `far` are held at their limit,
+    and the others are solved again. If these then exceed their limits, the whole step is
     shortened."""
-    held = np.zeros(len(step), bool)
-    tested = step
-    while not held.all():
-        far = (tested < lower) | (tested > upper)
-        if not (far & ~held).any():
-            break
-        held |= far
-        near = ~held
-        tested = np.clip(tested, lower, upper)
-        asked = gradient[near] + H[np.ix_(near, held)] @ tested[held]
-        tested[near] = -np.linalg.solve(H[np.ix_(near, near)], asked)
-    tested = np.clip(tested, lower, upper)
-    if (2 * gradient + H @ tested) @ tested < 0:
-        return tested
-    limits = np.where(step < 0, lower, upper)
-    moving = np.abs(step) > 1e-12
-    fraction = float((limits[moving] / step[moving]).min(initial=1.0))
-    return step * fraction
+    held = step.copy()
+    held[far] = np.clip(step, -maximum, maximum)[far]
+    near = ~far
+    asked = gradient[near] + H[np.ix_(near, far)] @ held[far]
+    held[near] = -np.linalg.solve(H[np.ix_(near, near)], asked)
+    falls = (2 * gradient + H @ held) @ held < 0
+    if falls and (np.abs(held) <= maximum).all():
+        return held
+    return step * float((maximum / np.maximum(np.abs(step), 1e-12)).min())
 
 
 def _straight(family: ShapeModel, theta: Array) -> Array:
@@ -261,7 +247,6 @@ def refine(
     family = problem.family
     enough = _CostThresholds.of(settled, far, known, noise, len(at.residual))
     damping = _DAMPING[0] if slopes is None else _DAMPING[1]
-    rejected = 0
     fresh = slopes is not None and slopes.theta is at.theta
     if slopes is None or slopes.worn(family, at.theta):
         fresh = True
@@ -280,13 +265,11 @@ def refine(
             if not fresh:
                 slopes = approximate_jacobian(problem, at)
                 fresh = True
-            elif rejected == _REJECTED:
+            elif damping > _DAMPING[2]:
                 break
             else:
                 damping = max(10 * damping, _DAMPING[0])
-                rejected += 1
             continue
-        rejected = 0
         gained = at.cost - new.cost
         good = gained > _GOOD * step.promised
         damping = max(damping / 10, _DAMPING[1]) if good else 3 * damping
@@ -304,8 +287,6 @@ def exactly(
 ) -> Fit:
     """Return the fit with an exact Jacobian, as needed for reporting. It also refines the fit, at
     most `times` times, where the approximate one stopped early."""
-    if not times and fit.slopes.exact:
-        return fit
     problem = Problem(forward, fit.family, fit.hint, data, fit.prior)
     slopes = fit.slopes if fit.slopes.exact else exact_jacobian(problem, fit.at)
     if times:

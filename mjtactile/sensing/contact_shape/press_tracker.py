@@ -37,7 +37,7 @@ Suggest = Callable[[Data], Suggestions]
 _SUGGESTED = 3  # models fitted in the first image of a contact episode
 _SUGGESTED_AGAIN = 2  # models that the candidates of an evaluation must include
 _UNLIKELY = 3.0  # log evidence behind the best: 5 %
-_LIKELY_START = 0.3  # probability of a model whose fit is restarted from the suggested start
+_LIKELY_START = 0.1  # probability of a model whose fit is restarted from the suggested start
 _LIKELY_AGAIN = 0.4  # probability of a suggested model that was dropped, to try it again
 _SINGLE = tuple(FAMILIES.values())
 
@@ -108,11 +108,10 @@ def _search_all(
             likely = suggest(data).likely(dict.fromkeys(FAMILIES, 0.0))
             near = [family for family in near if family.name in likely]
         fits = search(forward, near, hint, data, s.noise_min, now.state, now.chi2)
-    known = math.inf if rejected is None else rejected.now.chi2
     minimum = min((fit.misfit for fit in fits), default=math.inf)
     if len(hint.parts) > 1 and minimum > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
-        both = search(forward, (balls,), hint, data, s.noise_min, known=known)
+        both = search(forward, (balls,), hint, data, s.noise_min)
         fits += both
         if both and s.misfit_one < both[0].misfit < minimum:
             fits += other_parts(forward, both[0], data, s)
@@ -188,7 +187,7 @@ def _evaluate_candidates(
         known = math.inf if best is None else best.chi2
         fit = warm_start(forward, candidate, start, press.noise, hint, data, EVALUATED, known)
         minimum = press.noise if best is None else best.misfit
-        if fit is None or fit.misfit > _STUCK * max(press.misfit_ratio(candidate), 1.0) * minimum:
+        if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.now).state
             if suggestions is None or candidate.family.parts:
                 fit = restart_fit(forward, candidate, fit, press.noise, hint, data, known, near)

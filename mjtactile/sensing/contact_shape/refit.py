@@ -30,7 +30,7 @@ FOLLOWED = 3  # rounds of a fit that is followed
 # Thresholds of such a fit: the pose changes little, and the next image continues it
 FOLLOWING = {"settled": 0.5, "far": 25.0}
 _HELD = 0.05  # change of depth, mm, that the first step of a fit corrects
-EVALUATED = 3  # the same, at an evaluation of all candidates
+EVALUATED = 5  # the same, at an evaluation of all candidates
 _CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
 _PARTS = ("ball", "cylinder", "disc", "block")
 

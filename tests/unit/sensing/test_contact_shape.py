@@ -18,8 +18,9 @@ from mjtactile.quasistatic import obstacle
 from mjtactile.sensing.apply_contact_shape import attach_shape
 from mjtactile.sensing.contact_shape import press_tracker as following
 from mjtactile.sensing.contact_shape.estimator import Found
-from mjtactile.sensing.contact_shape.fit_state import Data, Problem
+from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.force_fusion import _model, below_frame, contact_load
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, rubber_step
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 from mjtactile.sensing.settings import DEFAULTS
@@ -196,13 +197,13 @@ def test_a_press_is_followed_for_some_solutions_an_image(sensor, fine_membrane, 
         for n, z in enumerate((1.4e-3, 1.3e-3, 1.3e-3, 1.3e-3, 1.3e-3))
     ]
     counts = []
-    solve = Problem.solve
+    solve = ForwardModel.solve
 
-    def counted(self, theta, start):
-        counts[-1] += 1
-        return solve(self, theta, start)
+    def counted(self, bodies, start=None):
+        counts[-1] += len(bodies)
+        return solve(self, bodies, start)
 
-    monkeypatch.setattr(Problem, "solve", counted)
+    monkeypatch.setattr(ForwardModel, "solve", counted)
     pipeline, state, finder = sensor
     p_rest = pipeline.inverse.positions(state.reference.rest.c) + state.reference.rest.offset
     press = None
