@@ -66,10 +66,10 @@ truth "not set down": the run ended while the raised gripper held the object; "d
 a device was the cause),
 peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N and slip_mm_true
 (ground truth, simulation only), contacts (of each finger at the end of the hold: "kind",
-"probability", "misfit" (mean square of the residuals over their sd), "curvatures_1_m",
-"curvatures_sd_1_m", "area_mm2", "area_interval_mm2" of 68 %; a misfit above 2: of the
-pressure; "status"; null: no contact), real_time_factor, frames, perception_ms_median, object,
-sensor, controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
+"kind_resolved" (false: fewer than 15 cells of the simulated mesh), "probability", "misfit" (mean
+square of the residuals over their sd), "curvatures_1_m", "curvatures_sd_1_m", "area_mm2",
+"area_interval_mm2" of 68 %; a misfit above 2: of the pressure; "status"; null: no contact),
+real_time_factor, frames, perception_ms_median, object, sensor, controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
 "estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
 conditions that reduce the accuracy of the simulation, by kind
 (docs/reference/status_and_flags.md); a "reason" if known.
@@ -308,6 +308,8 @@ def _contact_text(contact: dict[str, Any]) -> str:
     kind = f"{contact['kind']} ({100 * contact['probability']:.0f} %)"
     if contact["misfit"] > EXPLAINED:
         kind = f"kind unclear, explained by no model (nearest: {contact['kind']})"
+    elif not contact["kind_resolved"]:
+        kind = f"kind not resolved by the simulated mesh, likeliest {kind}"
     elif contact["probability"] < _CLEAR:
         kind = f"kind unclear, likeliest {kind}"
     elif contact["kind"] == "smooth":

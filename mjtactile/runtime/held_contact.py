@@ -9,6 +9,7 @@ from typing import Any
 from mjtactile.core.status import OK
 from mjtactile.core.types import ContactShape, Touch
 from mjtactile.runtime.cycle import Cycle
+from mjtactile.sensing.settings import ContactShapeSettings
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 _GROWN = 1.4  # force ratio between two kept images of a load
@@ -16,6 +17,9 @@ _KEPT = 7  # images of a load
 _FIRST = 0.05  # force of the first of them, N
 EXPLAINED = 2.0
 """Maximum misfit of a shape that explains the last image."""
+
+
+_CELLS = 15  # minimum cells of a coarse simulated mesh in a contact whose kind is resolved
 
 
 class HeldContacts:
@@ -50,23 +54,27 @@ class HeldContacts:
 def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str, Any] | None:
     if held is None or not isinstance(perception, StatefulPipeline):
         return None
+    settings = perception.pipeline.settings.contact_shape
     if held.shape is not None:
-        return _report(held.shape, held)
+        return _report(held.shape, held, settings)
     shape = perception.shape([*load, held])
     if shape.misfit > EXPLAINED and load:
         # the images of the load may have excluded the right model
         alone = perception.shape([held])
         shape = alone if alone.misfit <= EXPLAINED else shape
-    return _report(shape, held)
+    return _report(shape, held, settings)
 
 
-def _report(shape: ContactShape, held: Touch) -> dict[str, Any]:
+def _report(shape: ContactShape, held: Touch, s: ContactShapeSettings) -> dict[str, Any]:
     """Return kind, probability, misfit, principal curvatures, 1/m, with their sd, and area, mm^2,
     with its 68 % interval; unknown values are NaN. The area of a shape that does not explain the
-    image is that of the traction."""
+    image is that of the traction. A contact over few cells of a coarse simulated mesh does not
+    resolve the kind: an egg touches at so few vertices that it resembles a small disc."""
+    is_resolved = s.mesh_ratio == 1 or not shape.area < _CELLS * s.mesh_spacing**2
     area = held.contact if shape.misfit > EXPLAINED and held.contact is not None else shape
     return {
         "kind": shape.kind,
+        "kind_resolved": is_resolved,
         "probability": float(shape.probabilities.get(shape.kind, float("nan"))),
         "misfit": float(shape.misfit),
         "curvatures_1_m": [float(one) for one in shape.curvatures],
