@@ -69,8 +69,9 @@ peak_force_N and hold_force_N (estimated), peak_force_true_N, hold_force_true_N 
 "kind_resolved" (false: fewer than 15 cells of the simulated mesh), "probability", "misfit" (mean
 square of the residuals over their sd), "curvatures_1_m", "curvatures_sd_1_m", "area_mm2",
 "area_interval_mm2" of 68 %; a misfit above 2: of the pressure; "status"; null: no contact),
-real_time_factor, frames, perception_ms_median, object, sensor, controller, seed, success_criterion, the whole "scenario"; "outcome_from" ("ground truth",
-"estimates", or "recording" for a replay, with the recorded names in "recorded"); "flags", the
+real_time_factor, frames, perception_ms_median, object, sensor, controller, seed,
+success_criterion, the whole "scenario"; "outcome_from" ("ground truth", "estimates", or
+"recording" for a replay, with the recorded names in "recorded"); "flags", the
 conditions that reduce the accuracy of the simulation, by kind
 (docs/reference/status_and_flags.md); a "reason" if known.
 exit codes: 0 held, 1 dropped, crushed, not set down, or set down early, 2 bad input, 3 a device
