@@ -142,10 +142,6 @@ class PressHistory:
         minimum, maximum = self.loads
         return not minimum / _HELD_FORCE < force < maximum * _HELD_FORCE
 
-    def misfit_ratio(self, one: Candidate) -> float:
-        """Return the ratio of a candidate's misfit to the smallest one, at the last evaluation."""
-        return one.fit.misfit / min(each.fit.misfit for each in self.candidates)
-
     def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
         """Return those of `families` whose evidence is not far behind in this contact episode."""
         known = (*self.candidates, *self.dropped)
@@ -179,11 +175,12 @@ def weigh(
     minimum = maximum - s.log_lost
     both = zip(found, roughly, strict=True)
     likely = [(candidate, rough) for candidate, rough in both if rough.log > minimum]
-    kept = []
-    for candidate, rough in likely:
-        close = rough.log > maximum - _CLOSE
-        exact = candidate.exactly(forward, data, noise) if close else candidate
-        kept.append(rough if exact.fit is candidate.fit else exact.with_noise(noise))
+    kept = [
+        candidate.exactly(forward, data, noise).with_noise(noise)
+        if rough.log > maximum - _CLOSE
+        else rough
+        for candidate, rough in likely
+    ]
     kept.sort(key=lambda candidate: -candidate.log)
     best = _best(kept, noise)
     dropped = [
