@@ -7,7 +7,6 @@ import sys
 
 import mujoco
 import mujoco_warp as mjw
-import numpy as np
 import warp as wp
 
 import mjtactile
@@ -88,8 +87,7 @@ def grasp(worlds: int, seconds: float):
         step()
     for _ in range(round(seconds / timestep) - 1):
         wp.capture_launch(capture.graph)
-    heights = d.qpos.numpy()[:, model.joint(3).qposadr[0] + 2]
-    return -touch.wrench.numpy()[:, :, 2], np.asarray(heights)
+    return -touch.wrench.numpy()[:, :, 2], d.qpos.numpy()[:, model.joint(3).qposadr[0] + 2]
 
 
 if __name__ == "__main__":

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from mjtactile.core.types import SHAPES, Contact, ContactShape, Touch
 from mjtactile.runtime.held_contact import HeldContacts
+from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 
 class Fitted(StatefulPipeline):
-    """A pipeline that keeps what it is asked, and has one answer."""
+    """Pipeline that records its calls and returns one shape."""
 
     def __init__(self):
         self.asked = []
+        self.pipeline: Any = SimpleNamespace(settings=DEFAULTS)
 
     def shape(self, touches):
         self.asked.append([touch.force_normal for touch in touches])
@@ -54,7 +57,7 @@ def test_the_load_and_the_last_image_of_the_hold_count():
 def test_a_history_that_does_not_explain_the_hold_is_discarded():
     class Misled(StatefulPipeline):
         def __init__(self):
-            pass
+            self.pipeline: Any = SimpleNamespace(settings=DEFAULTS)
 
         def shape(self, touches):
             kind, misfit = ("flat", 3.3) if len(touches) > 1 else ("smooth", 0.9)
