@@ -14,7 +14,6 @@ import mjtactile.warp
 
 GRIPPER = """
 <mujoco>
-  <option timestep="0.002"/>
   <worldbody>
     <geom name="table" type="box" size="0.2 0.2 0.01" pos="0 0 -0.01" friction="0.3"/>
     <body name="gripper" pos="0 0 0.023" gravcomp="1">
@@ -32,14 +31,12 @@ GRIPPER = """
       </body>
     </body>
     <body name="egg" pos="0 0 0.0231">
-      <freejoint/>
-      <geom name="egg" type="ellipsoid" size="0.022 0.022 0.023" mass="0.02" friction="0.3"/>
+      <freejoint/><geom type="ellipsoid" size="0.022 0.022 0.023" mass="0.02" friction="0.3"/>
     </body>
   </worldbody>
   <actuator>
     <position name="lift" joint="lift" kp="2000"/>
-    <position name="left" joint="left" kp="1000"/>
-    <position name="right" joint="right" kp="1000"/>
+    <position name="left" joint="left" kp="1000"/><position name="right" joint="right" kp="1000"/>
   </actuator>
 </mujoco>
 """
@@ -91,8 +88,7 @@ def grasp(worlds: int, seconds: float):
 
 
 if __name__ == "__main__":
-    on_gpu = wp.get_device().is_cuda
-    worlds = int(sys.argv[1]) if len(sys.argv) > 1 else (4096 if on_gpu else 2)
+    worlds = int(sys.argv[1]) if len(sys.argv) > 1 else 4096 if wp.get_device().is_cuda else 2
     force, height = grasp(worlds, 2.4)
     held = height > 0.04
     print(f"{held.sum()} of {worlds} eggs lifted, by {force[held].mean():.3f} N on each finger")

@@ -240,7 +240,12 @@ METHODS = [
     ("membrane.solve_batch", {"obstacles": [["@ball"]]}, "max_steps", (0, 0.5, math.nan, "x")),
     ("membrane.solve_batch", {"obstacles": [["@ball"]]}, "threads", (0, -1, "x", np.zeros(2))),
     ("membrane.solve_batch", {"obstacles": [["@ball"]]}, "again", (1, "no", np.zeros(2))),
-    ("membrane.obstacle_heights", {"obstacles": "@ball"}, "positions", (object(), "x", [[1], [2, 3]])),
+    (
+        "membrane.obstacle_heights",
+        {"obstacles": "@ball"},
+        "positions",
+        (object(), "x", [[1], [2, 3]]),
+    ),
     ("recording.valves", {}, "cycle", NO_CYCLE),
     ("recording.command", {}, "cycle", NO_CYCLE),
     ("recording.images_of", {}, "cycle", NO_CYCLE),
