@@ -63,15 +63,14 @@ class SlipSample:
 @dataclass(frozen=True, eq=False)
 class SlipHistory:
     """State carried to the next image. It holds the last `samples`, and the `weight` (J,) and
-    `position` (J, 3), m, of the nodes. It also holds the slip `distance`, m, the estimated
-    coefficient of `friction`, and the sum `path`, m, of the motion along the shear."""
+    `position` (J, 3), m, of the nodes. It also holds the slip `distance`, m, and the estimated
+    coefficient of `friction`."""
 
     samples: tuple[SlipSample, ...]
     weight: Array
     position: Array
     distance: float
     friction: float
-    path: float = 0.0
 
 
 def unknown(code: StatusCode, reason: str) -> Slip:
@@ -111,13 +110,15 @@ def classify(
     if not slips and _turns(now.samples, s):
         slips = True
         load = used_around
+    if slips and now.distance == 0:
+        slid = max(now.distance, displacement)
+    else:
+        slid = now.distance + slips * _latest_direction(now.samples)
     friction = load if slips else max(now.friction, load)
     used = load / friction
     state: SlipState = "slipping" if slips else "incipient" if used > s.incipient else "sticking"
     stick = 0.0 if slips else max(0.0, 1 - used) ** (2 / 3)
-    if state != "sticking":
-        now = _slid(now, displacement, slips)
-    return Slip(state, velocity, now.distance, stick), replace(now, friction=friction)
+    return Slip(state, velocity, slid, stick), replace(now, distance=slid, friction=friction)
 
 
 def shear_nonuniformity(
@@ -246,17 +247,11 @@ def _motion(samples: Sequence[SlipSample], s: SlipSettings) -> tuple[Array, floa
     return (displacement / elapsed if elapsed > 0 else np.zeros(2)), float(displacement @ along)
 
 
-def _slid(history: SlipHistory, displacement: float, slips: bool) -> SlipHistory:
-    """Return the history after an image at the friction limit.
-
-    The distance is the largest sum of the motion along the shear since the slip started. The noise
-    of an image ends in the next one, whereas a sum of absolute values would grow by noise alone.
-    """
-    samples = history.samples
-    along = samples[-1].ratio[:2] / max(float(np.linalg.norm(samples[-1].ratio)), 1e-12)
-    step = float((samples[-1].p - samples[-2].p) @ along) if len(samples) > 1 else 0.0
-    path = history.path + step if history.distance > 0 else max(0.0, displacement)
-    return replace(history, path=path, distance=max(history.distance, path * slips))
+def _latest_direction(samples: Sequence[SlipSample]) -> float:
+    """Return the displacement of the center of pressure in the newest image, m."""
+    if len(samples) > 1:
+        return float(np.linalg.norm(samples[-1].p - samples[-2].p))
+    return 0.0
 
 
 def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:

@@ -35,7 +35,7 @@ def with_motion(
     elapsed = samples[-1].time - samples[-2].time if len(samples) > 1 else 0.0
     distance = history.distance + float(np.linalg.norm(motion.velocity)) * elapsed
     moved = replace(moved, state="slipping", distance=distance, stick_ratio=0.0)
-    return moved, replace(history, distance=distance, path=distance)
+    return moved, replace(history, distance=distance)
 
 
 def slides(motion: RelativeMotion, history: SlipHistory, s: SlipSettings = DEFAULTS.slip) -> bool:

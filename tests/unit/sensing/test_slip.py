@@ -4,7 +4,6 @@ within their noise."""
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -322,19 +321,3 @@ def test_friction_is_learnt_from_a_slip_and_from_a_hold(sensor):
     reported = verdicts(sensor, shear, place, sticks=slides)
     assert reported[0].stick_ratio == pytest.approx((1 - 0.4 / 0.9) ** (2 / 3), abs=1e-6)
     assert reported[-1].stick_ratio == pytest.approx((1 - 0.5) ** (2 / 3), abs=0.02)
-
-
-@pytest.mark.parametrize("speed", [0.0, 1e-3])
-def test_noise_of_the_center_of_pressure_is_no_slip_distance(speed):
-    """1000 images, reported as slip: the distance is the motion along the shear, within four sd."""
-    noise, period = 1e-4, 1 / 30
-    rng = np.random.default_rng(5)
-    time = period * np.arange(1000)
-    p = rng.normal(scale=noise, size=(1000, 2)) + np.outer(speed * time, [0.6, 0.8])
-    ratio = 0.5 * np.array([0.6, 0.8, 0.0])
-    samples = [slip.SlipSample(t, at, np.zeros(3), ratio) for t, at in zip(time, p, strict=True)]
-    history = slip.SlipHistory((samples[0],), np.ones(1), np.zeros((1, 3)), 0.0, 0.9)
-    for before, now in pairwise(samples):
-        slips = rng.random() < 0.7 or now is samples[1]
-        history = slip._slid(replace(history, samples=(before, now)), 2e-4, slips)
-    assert history.distance == pytest.approx(2e-4 + speed * time[-1], abs=4 * np.sqrt(2) * noise)
