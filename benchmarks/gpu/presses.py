@@ -22,6 +22,7 @@ from mjtactile.quasistatic.obstacles import Obstacle
 from mjtactile.sim.sensor.quasistatic_geoms import sticking_of
 
 KINDS = ("ball", "box", "capsule", "cylinder", "ellipsoid", "mesh")
+_TORSION_MIN = 1e-9  # N m/rad; a contact of a single node has no torsional stiffness
 ASKED = {"force": 0.02, "pressure": 0.01, "shear": 0.05, "torsion": 0.05}
 _SEED = 4700
 _MARGIN = 6e-3  # of an object's center from the frame, m
@@ -95,6 +96,8 @@ def press_objects(kind: str, count: int, device: str, sensor: str = "dense") -> 
     for k, (item, place) in enumerate(zip(objects, places, strict=True)):
         exact = _on_the_cpu(membrane, item, place, depths[k])
         if exact is not None:
+            if exact[4] < _TORSION_MIN:
+                exact[4] = np.nan
             own = np.diag(grip[k, k if kind == "mesh" else 0])
             found = [force[k], pressure[k], own[0], own[1], own[2]]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -104,7 +107,7 @@ def press_objects(kind: str, count: int, device: str, sensor: str = "dense") -> 
         "force": errors[:, 0],
         "pressure": errors[:, 1],
         "shear": errors[:, 2:4],
-        "torsion": errors[np.isfinite(errors[:, 4]), 4],  # a single node has none
+        "torsion": errors[np.isfinite(errors[:, 4]), 4],
     }
     return {
         "kind": kind,
