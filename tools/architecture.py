@@ -51,9 +51,9 @@ ROOMS = {
 """Short descriptions of the package's rooms; an unlisted room has no line."""
 
 INSIDE = (
-    "Sensing, from the image up",
-    "Simulation, from the sensor up",
-    "Core, from the ground up",
+    "Sensing layers",
+    "Simulation layers",
+    "Core layers",
 )
 """Contracts of the rooms whose own order is drawn at the side."""
 

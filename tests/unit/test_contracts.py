@@ -14,16 +14,16 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 VIOLATIONS = {
     "Layers": ("mjtactile/core/types/touch.py", "import mjtactile.rig.file"),
     "Layers (a new module without a place)": ("mjtactile/stray.py", ""),
-    "Core, from the ground up": ("mjtactile/core/types/touch.py", "import mjtactile.core.design"),
+    "Core layers": ("mjtactile/core/types/touch.py", "import mjtactile.core.design"),
     "Values, from the image": (
         "mjtactile/core/types/vision.py",
         "import mjtactile.core.types.touch",
     ),
-    "Sensing, from the image up": (
+    "Sensing layers": (
         "mjtactile/sensing/image/edge_fit.py",
         "import mjtactile.sensing.force.spline_fem",
     ),
-    "Simulation, from the sensor up": (
+    "Simulation layers": (
         "mjtactile/sim/sensor/gas.py",
         "import mjtactile.sim.scenes.world",
     ),
