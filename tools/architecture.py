@@ -50,11 +50,7 @@ ROOMS = {
 }
 """Short descriptions of the package's rooms; an unlisted room has no line."""
 
-INSIDE = (
-    "Sensing layers",
-    "Simulation layers",
-    "Core layers",
-)
+INSIDE = ("Sensing layers", "Simulation layers", "Core layers")
 """Contracts of the rooms whose own order is drawn at the side."""
 
 COLOURS = {

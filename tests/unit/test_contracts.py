@@ -15,29 +15,23 @@ VIOLATIONS = {
     "Layers": ("mjtactile/core/types/touch.py", "import mjtactile.rig.file"),
     "Layers (a new module without a place)": ("mjtactile/stray.py", ""),
     "Core layers": ("mjtactile/core/types/touch.py", "import mjtactile.core.design"),
-    "Values, from the image": (
-        "mjtactile/core/types/vision.py",
-        "import mjtactile.core.types.touch",
-    ),
+    "Value layers": ("mjtactile/core/types/vision.py", "import mjtactile.core.types.touch"),
     "Sensing layers": (
         "mjtactile/sensing/image/edge_fit.py",
         "import mjtactile.sensing.force.spline_fem",
     ),
-    "Simulation layers": (
-        "mjtactile/sim/sensor/gas.py",
-        "import mjtactile.sim.scenes.world",
-    ),
+    "Simulation layers": ("mjtactile/sim/sensor/gas.py", "import mjtactile.sim.scenes.world"),
     "The product imports no benchmark": (
         "mjtactile/commands/press.py",
         "import benchmarks.speed.run",
     ),
-    "Sensing meets": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
+    "Sensing imports": ("mjtactile/sensing/pose/circles.py", "import mjtactile.rig.registry"),
     "Only the simulator": ("mjtactile/runtime/control_loop.py", "import mujoco"),
-    "Fitting, from": ("mjtactile/fit/measurements.py", "import mjtactile.fit.identification"),
-    "A controller sees": ("controllers/gentle.py", "import mjtactile.core.design"),
-    "A controller sees (no simulator)": ("controllers/gentle.py", "import mujoco"),
+    "Fit layers": ("mjtactile/fit/measurements.py", "import mjtactile.fit.identification"),
+    "Controllers import": ("controllers/gentle.py", "import mjtactile.core.design"),
+    "Controllers import (no simulator)": ("controllers/gentle.py", "import mujoco"),
     "Examples use": ("examples/touch_in_my_scene.py", "import mjtactile.sim.attach"),
-    "Commands use": ("mjtactile/commands/press.py", "import mjtactile.sim.scenes.indentation"),
+    "Commands import": ("mjtactile/commands/press.py", "import mjtactile.sim.scenes.indentation"),
     "Ground truth": ("mjtactile/runtime/control_loop.py", "import mjtactile.sim.ground_truth"),
 }
 
