@@ -28,7 +28,7 @@ VERSION = "3"
 """Version, incremented with every change of the criteria or their measurement."""
 _EVERY = 0.02  # interval between evaluations of the minimum grip force, s
 _IN_AIR = 0.01  # minimum gripper height at which the fingers alone carry the object, m
-_LET_GO = 0.02  # maximum normal force per finger of a released object, N
+_RELEASED = 0.02  # maximum normal force per finger of a released object, N
 _PULL = 0.3  # minimum pull that requires a release, N
 _STANDS = 5e-3  # tolerance of the height of a standing object, m
 _GENEROUS = 2.0  # ratio of the grip to the required force that counts as excessive
@@ -84,7 +84,7 @@ class TaskScorer:
         if math.isnan(self._up_since):
             if self.is_up():
                 self._up_since = time
-        elif math.isnan(self.released_at) and second < _LET_GO:
+        elif math.isnan(self.released_at) and second < _RELEASED:
             self.released_at = time - self._up_since
             self.torn = phase in ("lift", "hold")
         if phase in ("lower", "release") and not math.isnan(self._up_since):
@@ -100,7 +100,7 @@ class TaskScorer:
             stacked = self.world.second_object
             self.second_fell |= stacked is not None and stacked.has_fallen
             need = self.need()
-            if need > 0 and second > _LET_GO and not is_pulled:
+            if need > 0 and second > _RELEASED and not is_pulled:
                 grip = float(np.mean(forces))
                 announced = self.task.goal.push / self.friction_sum()
                 self.margins.append(grip / need)

@@ -12,13 +12,17 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 MESH = {"round30": (25, 25)}  # others: 25 x 21; its plate force is within 1 % of 33 x 28 up to 4 N
 
 
-def presses(sensor, depths, *, size=0.06, at=(0.0, 0.0), tilt=0.0, gauge=True):
-    """Yield true force, N, and touch of a box with edges of `size` m, pressed in steps."""
+def presses(sensor, depths, *, size=0.06, at=(0.0, 0.0), tilt=0.0, gauge=True, unloaded=0):
+    """Yield true force, N, and touch of a box with edges of `size` m, pressed in steps after
+    `unloaded` images."""
     design = load_sensor(sensor)
     mesh = MESH.get(sensor, (25, 21))
     world = PressWorld(design, Indenter("box", size), at=at, tilt=tilt, mesh=mesh)
     view = View(world, design, gauge=gauge)
     take_references(world, [view], design.chamber.supply_gauge)
+    for _ in range(unloaded):
+        world.step(10)
+        view.touch()
     for depth in depths:
         world.press(depth)
         view.touch()
@@ -59,17 +63,7 @@ def test_a_sudden_plate_is_no_camera_change():
 # 1.1 +- 0.2 N, "ok". The reported standard deviation is 13 % with 16 markers.
 @pytest.mark.slow
 def test_a_sudden_plate_after_images_without_a_load_is_no_camera_change():
-    design = load_sensor("paper16")
-    world = PressWorld(design, Indenter("box", 0.06), mesh=(25, 21))
-    view = View(world, design, gauge=False)
-    take_references(world, [view], design.chamber.supply_gauge)
-    for _ in range(3):
-        world.step(10)
-        view.touch()
-    world.press(2.9e-3)
-    view.touch()
-    touch = view.touch()
-    force = -float(ground_truth.contact_force(world, 0)[2])
+    ((force, touch),) = presses("paper16", (2.9e-3,), gauge=False, unloaded=3)
     assert force > 8
     assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
     assert touch.force_normal_sd < 0.25 * force
@@ -175,8 +169,8 @@ def test_images_before_the_load_show_the_camera():
     touch = view.touch()
     force = -float(ground_truth.contact_force(world, 0)[2])
     assert 0.25 < force < 0.35
+    # the model error of light plates on this sensor is 5 %
     assert touch.force_normal == pytest.approx(force, rel=0.06)
-    assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
     assert abs(touch.force_normal - force) < 2 * touch.force_normal_sd
 
 

@@ -109,7 +109,7 @@ def _next_phase(
     time: float,
 ) -> int:
     found = int(phase)
-    if phase <= 2:
+    if phase <= REGULATE:
         if height > _RISEN:
             found = LIFT
         elif touches == fingers:
@@ -118,19 +118,19 @@ def _next_phase(
             found = CLOSE
         else:
             found = APPROACH
-    elif phase == 3:
+    elif phase == LIFT:
         if height > limits.lift_height - _NEAR:
             found = HOLD
-    elif phase == 4:
+    elif phase == HOLD:
         if limits.handover != 0:
             if touches == 0 or commanded > grip + _NEAR:
                 found = RELEASE
         elif time >= limits.hold_time:
             found = LOWER
-    elif phase == 5:
+    elif phase == LOWER:
         if height < limits.place_height + _DOWN:
             found = RELEASE
-    elif phase == 6:
+    elif phase == RELEASE:
         if touches == 0 and opening > grip + _CLEAR:
             found = DONE
     return found
@@ -173,7 +173,7 @@ def command_all(
     in_phase = commands.phase_time[world] + limits.period
     grip = commands.grip_opening[world]
     phase = int(before)
-    if (before == 3 or before == 4) and lost > _LOST_TIME:
+    if (before == LIFT or before == HOLD) and lost > _LOST_TIME:
         phase = LOWER
     else:
         last_opening = commands.opening[world]
@@ -182,13 +182,13 @@ def command_all(
         )
     if phase != before:
         in_phase = 0.0
-    if phase < 6:
-        if limits.handover != 0 and phase == 4 and before == 4:
+    if phase < RELEASE:
+        if limits.handover != 0 and phase == HOLD and before == HOLD:
             opening = wp.min(grip, opening)
         commands.grip_opening[world] = opening
-    if phase == 5 and lost > _LOST_TIME:
+    if phase == LOWER and lost > _LOST_TIME:
         commands.gone[world] = 1
-    if phase == 7 and commands.gone[world] != 0:
+    if phase == DONE and commands.gone[world] != 0:
         phase = ABORT
     commands.phase[world] = phase
     commands.phase_time[world] = in_phase

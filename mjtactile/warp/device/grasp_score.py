@@ -5,7 +5,15 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.core import policy
-from mjtactile.warp.device.grasp_phase import Commands, TaskLimits
+from mjtactile.warp.device.grasp_phase import (
+    APPROACH,
+    HOLD,
+    LIFT,
+    LOWER,
+    RELEASE,
+    Commands,
+    TaskLimits,
+)
 from mjtactile.warp.device.gripper import Drive, height_of
 from mjtactile.warp.device.sensing_errors import Estimates
 from mjtactile.warp.device.task_score import Criteria, TaskState, is_failed
@@ -87,12 +95,12 @@ def score_step(
         scores.crushed[world] = 1
     phase = scores.counted[world]
     p = xipos[world, grasped]
-    if phase == 6:
+    if phase == RELEASE:
         if not wp.isfinite(scores.release_height[world]):
             scores.release_height[world] = p[2]
         if scores.release_height[world] - p[2] > max_drop:
             scores.fell[world] = 1
-    if phase == 3 or phase == 4:
+    if phase == LIFT or phase == HOLD:
         relative = p - xpos[world, gripper]
         if scores.has_grip[world] == 0:
             scores.has_grip[world] = 1
@@ -106,7 +114,7 @@ def score_step(
             risen = 1
         if lifted > _RISEN and risen == 0:
             scores.lost[world] = 1
-        if phase == 4:
+        if phase == HOLD:
             scores.hold_force[world] += total / float(fingers)
             scores.hold_steps[world] += 1
             scores.held_steps[world] += risen
@@ -119,15 +127,15 @@ def _fraction(
     """Return the completed fraction of the phase."""
     found = float(0.0)
     raised = commands.measured[world, 3] / limits.lift_height
-    if phase == 0:
+    if phase == APPROACH:
         found = 1.0 - commands.measured[world, 0] / scores.first_opening[world]
-    elif phase == 3:
+    elif phase == LIFT:
         found = raised
-    elif phase == 4:
+    elif phase == HOLD:
         found = commands.phase_time[world] / wp.max(limits.hold_time, 1.0e-9)
-    elif phase == 5:
+    elif phase == LOWER:
         found = 1.0 - raised
-    elif phase == 6:
+    elif phase == RELEASE:
         ahead = commands.opening[world] - commands.grip_opening[world] + _LEAD
         found = ahead / (_CLEAR + _LEAD)
     return wp.clamp(found, 0.0, 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.grasp_phase import Commands, measure
+from mjtactile.warp.device.grasp_phase import APPROACH, Commands, measure
 from mjtactile.warp.device.grasp_score import Scores
 from mjtactile.warp.device.gripper import Drive, Goals, limit_force
 from mjtactile.warp.device.sensing_errors import ErrorModel, Estimates, restart_errors
@@ -291,7 +291,7 @@ def restart_worlds(
     commands.opening[w] = commands.measured[w, 0]
     commands.force[w] = -1.0
     commands.lift[w] = commands.measured[w, 3]
-    commands.phase[w] = 0
+    commands.phase[w] = APPROACH
     commands.phase_time[w] = 0.0
     commands.lost_time[w] = 0.0
     commands.gone[w] = 0

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import warp as wp
 
+from mjtactile.warp.device.grasp_phase import HOLD, LIFT, LOWER, RELEASE
+
 wp.set_module_options({"enable_backward": False})
 
-_LET_GO = wp.constant(0.02)  # maximum normal force per finger of a released object, N
+_RELEASED = wp.constant(0.02)  # maximum normal force per finger of a released object, N
 _STANDS = wp.constant(5.0e-3)  # tolerance of the height of a standing object, m
 
 
@@ -68,10 +70,10 @@ def score_task(
     if fingers == 1:
         second = strongest
     now = phase[w]
-    if not wp.isfinite(task.released_at[w]) and second < _LET_GO:
+    if not wp.isfinite(task.released_at[w]) and second < _RELEASED:
         task.released_at[w] = time[w] - task.up_since[w]
-        task.torn[w] = wp.where(now == 3 or now == 4, 1, 0)
-    if now == 5 or now == 6:
+        task.torn[w] = wp.where(now == LIFT or now == HOLD, 1, 0)
+    if now == LOWER or now == RELEASE:
         support = float(0.0)
         mass = float(0.0)
         for b in range(free_bodies.shape[0]):
