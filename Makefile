@@ -41,7 +41,7 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 	[ -f build/docs/egg/summary.html ] || $(BIN)/mjtactile grasp --frames none --out build/docs/egg
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-# The tests have two tiers. The first checks what users do, within five minutes. The second has the tests marked `slow`: they
+# The tests have two tiers. The first checks what users do, in about five minutes. The second has the tests marked `slow`: they
 # take more than about 3 s of a processor or of waiting, and a quicker test detects a complete failure. Tests marked `clock`
 # use emulated devices and mostly wait: more of them run at a time than there are processors. No other computation may run at
 # the same time, not even at the lowest priority, since valves would answer late. Few tests of the first tier compute, so that
@@ -56,7 +56,7 @@ SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(filte
 wholly = $(addprefix --ignore=,$(shell grep -rlE '^pytestmark = \[?pytest\.mark\.(slow|clock)' --include='test_*.py' tests | sort))
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 
-test: first  ## lint, import contracts, and the tests of what users do (below 5 minutes)
+test: first  ## lint, import contracts, and the tests of what users do (about 5 minutes)
 	$(BIN)/pytest $(FIRST_CLOCK)
 	$(BIN)/pytest -n 0 tests/browser
 
