@@ -295,8 +295,8 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
             "true": t,
             "found": f,
             "error": f / t - 1,
-            "sd": result.number(field).sd * scale / t,
-            "is_fitted": result.number(field).state == "fitted",
+            "sd": result.parameter(field).sd * scale / t,
+            "is_fitted": result.parameter(field).state == "fitted",
         }
         for quantity, field, t, f, scale in rows
     ]

@@ -58,7 +58,7 @@ def run(
     """
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     device = wp.get_device()
     start = time.monotonic()
     result: dict[str, Any] = {"device": device.name, "is_gpu": device.is_cuda, "skipped": []}

@@ -68,11 +68,11 @@ def studio() -> dict[str, Any]:
     bridge = Watched()
     upload = panel.Panel._upload
 
-    def marked(self: Any, k: int, image_name: str, rgb: Any) -> None:
-        if (k, image_name) == (0, "image"):
+    def marked(self: Any, k: int, view: str, rgb: Any) -> None:
+        if (k, view) == (0, "image"):
             high, low = divmod(self._pictured[0].number, 256)
             rgb[0, 0] = low, high, MARK
-        upload(self, k, image_name, rgb)
+        upload(self, k, view, rgb)
 
     panel.Panel._upload = marked
     bridge.step()

@@ -74,7 +74,7 @@ class Outline:
     def plane(self, square: Array) -> Array:
         """Points (N, 2) m of the opening, for points (N, 2) of the square [-1, 1]^2."""
         z = self._mapped(_to_disc(square))[0]
-        return np.column_stack([z.real, z.imag])
+        return np.column_stack([np.real(z), np.imag(z)])
 
     def jacobian(self, square: Array) -> Array:
         """d(x, y)/d(u, v) (N, 2, 2) m at points (N, 2) of the square."""
@@ -99,7 +99,7 @@ class Outline:
     def disc(self, plane: Array) -> Array:
         """Points (N, 2) of the unit disc, likewise."""
         w = self._disc(plane)
-        return np.column_stack([w.real, w.imag])
+        return np.column_stack([np.real(w), np.imag(w)])
 
     def _disc(self, plane: Array) -> NDArray:
         """w (N,) of points (N, 2) m."""
@@ -154,7 +154,7 @@ class Outline:
         """Points (count, 2) m on it, counter-clockwise from where it crosses x, evenly spaced."""
         w = np.exp(2j * np.pi * np.arange(count) / count)
         z = self._mapped(w)[0]
-        return np.column_stack([z.real, z.imag])
+        return np.column_stack([np.real(z), np.imag(z)])
 
     @cached_property
     def half_sizes(self) -> tuple[float, float]:
@@ -205,8 +205,8 @@ def _to_square(w: NDArray) -> Array:
             - np.sqrt(np.maximum(rest - 2 * _ROOT2 * first, 0))
         )
 
-    x = w.real
-    y = w.imag
+    x = np.real(w)
+    y = np.imag(w)
     return np.clip(np.column_stack([along(x, y), along(y, x)]), -1.0, 1.0)
 
 

@@ -123,7 +123,8 @@ def _correlations(
         known = np.isfinite(measured)
         if known.sum() < 5 or np.ptp(measured[known]) == 0 or np.ptp(samples[known]) == 0:
             continue
-        found[measure] = round(float(stats.spearmanr(samples[known], measured[known]).statistic), 3)
+        correlation: Any = stats.spearmanr(samples[known], measured[known])
+        found[measure] = round(float(correlation.statistic), 3)
     return found
 
 

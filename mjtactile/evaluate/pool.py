@@ -75,7 +75,7 @@ HERE = Running()
 
 @contextlib.contextmanager
 def _dask(scheduler: str) -> Iterator[int]:
-    """Connects joblib to a scheduler; how many tasks its workers take at a time."""
+    """Connect joblib to a scheduler, and yield the number of tasks that its workers run at once."""
     from joblib import parallel_config
 
     if not scheduler:
@@ -92,7 +92,8 @@ def _dask(scheduler: str) -> Iterator[int]:
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"no scheduler answers at {scheduler!r}", field="--scheduler") from error
     with client:
-        threads = sum(client.nthreads().values())
+        by_worker: Any = client.nthreads()
+        threads = sum(by_worker.values())
         if not threads:
             raise InputError(f"the cluster at {scheduler} has no workers", field="--scheduler")
         with parallel_config(backend=DASK):

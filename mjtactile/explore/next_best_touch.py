@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array
 from mjtactile.explore.surface_patch import Patch, tangents
@@ -54,7 +54,7 @@ def _mean_around(mesh: Mesh, values: Array) -> Array:
     """Return the value of a touch at each vertex, m. This is the mean of `values` (V,) over the
     area of a touch. It is reduced on curved areas, since an edge or a corner gives information only
     about itself."""
-    near = cKDTree(mesh.vertices).query_ball_point(mesh.vertices, _RADIUS)
+    near = KDTree(mesh.vertices).query_ball_point(mesh.vertices, _RADIUS)
     areas = mesh.areas()
     worth = np.empty(len(near))
     for vertex, others in enumerate(near):

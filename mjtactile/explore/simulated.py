@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from mjtactile.core.errors import InputError
@@ -247,6 +247,6 @@ def _sizes_within(found: ExplorationResult, surface: TrueSurface, R_HO: Array) -
 def _missed(mesh: Mesh, points: Array) -> Array:
     """Return the distances of true points from the estimated surface, (N,) m. The distance is to
     the plane of the nearest vertex, or to that vertex if it is far away."""
-    distance, nearest = cKDTree(mesh.vertices).query(points)
+    distance, nearest = KDTree(mesh.vertices).query(points)
     across = np.einsum("ni,ni->n", points - mesh.vertices[nearest], mesh.normals[nearest])
     return np.where(distance < _PLANE_DISTANCE_MIN, across, distance)

@@ -137,7 +137,8 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
             raise
         self.observation_space = space_of(observation, designs)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
-        self.metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
+        metadata = {**self.metadata, "render_fps": round(1 / self._rig.period)}
+        self.metadata = metadata  # pyright: ignore[reportAttributeAccessIssue]
         self._markers = designs[0].markers.count
 
     # -- Gymnasium --------------------------------------------------------------------------------
@@ -245,7 +246,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
             text = f"the rig {self.scenario.rig!r} is not a simulated rig"
             raise _refusal(text, "rig", SIMULATES)
         if rig.touch_is_synthetic:  # a thread would cost more than it saves
-            rig.clock.step_in_turn()
+            rig.clock.step_in_turn()  # pyright: ignore[reportAttributeAccessIssue]
         self._session = Session(rig, threads=0, contact_shapes=self.scenario.contact_shapes)
         self._session.take_references()
         is_plain = load_task(self.scenario.task).is_plain and self.scenario.object != RANDOM

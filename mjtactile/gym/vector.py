@@ -50,6 +50,10 @@ class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
             [lambda: _Ahead(GraspEnv(**how))] * num_envs, autoreset_mode=autoreset_mode
         )
 
+    @property
+    def _ahead(self) -> list[Any]:
+        return list(self.envs)
+
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -59,7 +63,7 @@ class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
         mask = (options or {}).get("reset_mask", [True] * self.num_envs)
         self._together(
             partial(env.reset_ahead, seed=one)
-            for env, one, requested in zip(self.envs, chosen, mask, strict=True)
+            for env, one, requested in zip(self._ahead, chosen, mask, strict=True)
             if requested
         )
         return super().reset(seed=seed, options=options)
@@ -70,7 +74,7 @@ class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
         resets = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         self._together(
             env.reset_ahead if over and resets else partial(env.step_ahead, action)
-            for env, action, over in zip(self.envs, mine, self._autoreset_envs, strict=True)
+            for env, action, over in zip(self._ahead, mine, self._autoreset_envs, strict=True)
         )
         return super().step(actions)
 

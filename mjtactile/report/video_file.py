@@ -30,7 +30,7 @@ class Writer:
             import av
         except ImportError as error:
             raise MjtactileError("PyAV is not installed: pip install 'mjtactile[video]'") from error
-        self._av = av
+        self._av: Any = av
         self._path = path
         self._suffix = suffix
         self._rate = round(rate)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
@@ -55,7 +55,7 @@ class TrueSurface:
                 for at, out in zip(p, n, strict=True)
             ]
         )
-        nearest = cKDTree(self.points).query(p)[0]
+        nearest = KDTree(self.points).query(p)[0]
         wild = (distance > 0.1) | (np.abs(distance) > 3 * nearest + 2e-3)
         return np.where(wild, nearest, distance)
 

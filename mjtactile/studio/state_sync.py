@@ -20,7 +20,7 @@ from mjtactile.studio.session_bridge import SessionBridge
 from mjtactile.studio.snapshot import FingerSnapshot, StudioSnapshot
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_OFF = mujoco.mjtDisableBit
+_OFF: Any = mujoco.mjtDisableBit
 _STILL = (
     _OFF.mjDSBL_CONSTRAINT
     | _OFF.mjDSBL_CONTACT

@@ -94,7 +94,7 @@ class Membranes:
             self.gas.amount = wp.full(count, float(self.membrane._gas), dtype=float)
             self.gas.sealed = wp.full(count, int(self.membrane.sealed), dtype=int)
             self.modulus = wp.full(count, 1.0, dtype=float)
-            self.geoms = wp.zeros((count, slots), dtype=Geom)
+            self.geoms: Any = wp.zeros((count, slots), dtype=Geom)
             rows = np.zeros((1, 4)) if planes is None else planes
             self.pool = wp.array(rows.astype(np.float32), dtype=wp.vec4)
         empty = self.geoms.numpy()

@@ -291,7 +291,8 @@ class ValveBoard:
                 damaged += found is None and bool(line)
             del self._received[: -2 * protocol.LONGEST]  # noise without an end
             # the port's time-out is short
-            data = self._serial.read(max(1, self._serial.in_waiting))
+            waiting = self._serial.in_waiting  # pyright: ignore[reportAttributeAccessIssue]
+            data = self._serial.read(max(1, waiting))
             self._received += data
             waited = scaled_clock.monotonic() - asked
             # received data is read first: this thread may be late

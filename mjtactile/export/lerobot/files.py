@@ -101,7 +101,8 @@ class VideoFile:
             "g": "2",
             "bf": "0",
             "x264-params": "log-level=none",
-        } | ({"qp": "0"} if crf == 0 else {"crf": str(crf)})
+            **({"qp": "0"} if crf == 0 else {"crf": str(crf)}),
+        }
         self._stream = stream
         self._count = 0
         self._fps = fps

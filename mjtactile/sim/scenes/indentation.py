@@ -19,6 +19,7 @@ from mjtactile.sim.scenes.mjcf import read_mjcf
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
+from mjtactile.sim.sensor.mesh_sensor import TactileSensor
 
 SHAPES = ("sphere:R_mm", "cylinder:R_mm", "box:A_mm", "FILE.stl", "FILE.obj", "FILE.xml")
 _LENGTH = 0.03  # length of a cylinder along its axis, m
@@ -239,7 +240,12 @@ class PressWorld(World):
         Raises InputError when the indenter would slip between vertices.
         """
         sensor = self.sensors[0]
-        if sensor.contact == "vertices" and np.isfinite(sensor.missed[0]):
+        slips = (
+            isinstance(sensor, TactileSensor)
+            and sensor.contact == "vertices"
+            and np.isfinite(sensor.missed[0])
+        )
+        if slips:
             raise InputError(
                 "slips between the membrane's vertices; use contact 'elements'",
                 source="press",
