@@ -41,8 +41,8 @@ _C2 = (
 
 
 def _monotone_cubic(x: ArrayLike, y: ArrayLike, at: float) -> Array:
-    """Monotone cubic interpolation along the first axis of `y` (Fritsch and Butland 1984). It is
-    scipy's `pchip`, whose import takes a tenth of a second."""
+    """Interpolate with a monotone cubic along the first axis of `y` (Fritsch and Butland 1984).
+    SciPy's `pchip` is the same, but its import takes 0.1 s."""
     x = np.asarray(x, dtype=float)
     y = np.asarray(y, dtype=float)
     h = np.diff(x).reshape(-1, *[1] * (y.ndim - 1))
@@ -87,8 +87,8 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 @cache
 def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]:
-    """C1, C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside of the
-    table."""
+    """Return C1 and C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside
+    the table."""
     if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
         return np.nan, np.nan
     table = np.array(_C2)  # one row per aspect ratio
@@ -181,7 +181,8 @@ _ELLIPSE_C2 = (
 
 
 def _ellipse_cubic(aspect: float, poisson: float) -> float:
-    """C2 of an ellipse `aspect` times as long as wide; NaN outside of the table."""
+    """Return C2 of an ellipse with the axis ratio `aspect`, length over width; NaN outside the
+    table."""
     inside = _ELLIPSE_POISSON[0] <= poisson <= _ELLIPSE_POISSON[-1]
     if not inside or aspect > _ELLIPSE_ASPECT[-1]:
         return np.nan
@@ -212,7 +213,7 @@ series)."""
 
 
 def hencky_factor(poisson: float) -> float:
-    """w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
+    """Return w0 / a (E h / p a)^(1/3) of Eq. M2 for nu from 0 to 0.5."""
     return float(_monotone_cubic(list(HENCKY), list(HENCKY.values()), poisson))
 
 

@@ -36,14 +36,14 @@ class Cubic:
         self.weights = np.tile(half * weight, spans)
 
     def at(self, x: ArrayLike, derivative: int = 0) -> Array:
-        """Values (N, count) of the splines or of a derivative at `x` (N,), which is cut to the
+        """Evaluate the splines, or a derivative, (N, count) at `x` (N,), clipped to the
         interval."""
         x = np.clip(np.asarray(x, dtype=float), -self.length / 2, self.length / 2)
         return _basis(self._knots, x, derivative)[:, 1:-1]
 
 
 def hats(knots: Array, at: Array) -> tuple[Array, Array]:
-    """Values and slopes (len(at), len(knots)) of the piecewise linear hats on evenly spaced
+    """Return values and slopes (len(at), len(knots)) of piecewise linear hats on evenly spaced
     `knots`."""
     step = knots[1] - knots[0]
     distance = (at[:, None] - knots) / step

@@ -51,12 +51,12 @@ class CalibrationMetadata:
 def stamp(
     design: SensorDesign, versions: Mapping[str, str], residuals: Mapping[str, Any]
 ) -> CalibrationMetadata:
-    """The stamp of a part that was measured now, on a sensor of this sensor file."""
+    """Return the metadata of a calibration part measured now, on a sensor of this sensor file."""
     return CalibrationMetadata(now(), fingerprint(design), versions, residuals)
 
 
 def fingerprint(design: SensorDesign) -> str:
-    """SHA-256 of all values of a sensor file; comments and layout do not count."""
+    """Return the SHA-256 of all values of a sensor file, without comments and layout."""
     values = old_keys(asdict(replace(design, calibration=None)))
     for added in ("fiducials", "relaxation"):  # keeps the fingerprints of older files
         if values[added] is None:
@@ -219,8 +219,8 @@ class ForceScale:
     stamp: CalibrationMetadata = given()
 
     def apply(self, traction: Traction) -> Traction:
-        """The traction times the scale, whose own uncertainty adds to the wrench's: cov' = k^2 cov
-        + sd^2 w w^T."""
+        """Multiply a traction by the scale and add the scale's uncertainty to the wrench's: cov'
+        = k^2 cov + sd^2 w w^T."""
         wrench = traction.wrench
         k = self.scale
         cov = k**2 * traction.wrench_cov + self.sd**2 * np.outer(wrench, wrench)
@@ -235,5 +235,5 @@ KINDS: dict[str, type[Part]] = {
 
 
 def now() -> str:
-    """ISO 8601, UTC."""
+    """Return the current time, ISO 8601, UTC."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")

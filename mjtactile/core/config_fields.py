@@ -112,28 +112,28 @@ def numbers(
 def text(
     key: str, choices: Sequence[str] | None = None, *, default: Any = _REQUIRED, **more: Any
 ) -> Any:
-    """A field that is text, one of `choices` where there are any; see `number`."""
+    """Return a text field, restricted to `choices` if given; see `number`."""
     chosen = None if choices is None else tuple(choices)
     return entry(Text(key=key, choices=chosen, **more), default)
 
 
 def flag(key: str, *, default: bool, about: str = "") -> Any:
-    """A field that is true or false."""
+    """Return a field that is true or false."""
     return entry(Flag(key=key, about=about), default)
 
 
 def file_path(key: str, *, shipped: bool = False, compare: bool = True) -> Any:
-    """A field that names another file, None where the key is left out; see `FilePath`."""
+    """Return a field that names another file; None if the key is missing; see `FilePath`."""
     return entry(FilePath(key=key, shipped=shipped), None, compare=compare)
 
 
 def part(key: str, kind: type, *, default: Any = _REQUIRED, about: str = "") -> Any:
-    """A field that is a section of its own."""
+    """Return a field that is a separate section."""
     return entry(SectionEntry(key=key, kind=kind, about=about), default)
 
 
 def parts(key: str, kind: type, low: int = 1, high: int = 2) -> Any:
-    """A field that is a tuple of `low` to `high` sections."""
+    """Return a field that is a tuple of `low` to `high` sections."""
     return entry(SectionEntry(key=key, kind=kind, count=(low, high)))
 
 
@@ -155,7 +155,7 @@ def entries(kind: type) -> dict[str, Any]:
 
 
 def default_of(kind: type, name: str) -> Any:
-    """The default of a dataclass's field, `...` where it has none."""
+    """Return the default of a dataclass field; `...` if it has none."""
     value = kind.__dataclass_fields__[name].default
     return ... if value is dataclasses.MISSING else value
 
@@ -208,7 +208,7 @@ def write(value: Any) -> dict[str, Any]:
 
 
 def write_fields(value: Any) -> dict[str, Any]:
-    """`write`, of the fields that have an entry."""
+    """Return the fields that have an entry as a file's table; see `write`."""
     table: dict[str, Any] = {}
     for name, found in entries(type(value)).items():
         if found.applies(vars(value)):
@@ -217,5 +217,5 @@ def write_fields(value: Any) -> dict[str, Any]:
 
 
 def from_table(kind: type[T], table: Mapping[str, Any], source: str, **given: Any) -> T:
-    """`read` of a parsed file."""
+    """Read a dataclass from the table of a parsed file; see `read`."""
     return read(kind, Section(table, "", source), **given)

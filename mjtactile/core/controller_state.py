@@ -74,7 +74,7 @@ def _name(key: object, budget: _SizeBudget) -> str:
 
 
 def _copy(value: Any, budget: _SizeBudget, depth: int) -> Any:
-    """A plain copy. Raises _NotSerializable."""
+    """Return a copy of plain Python types. Raises _NotSerializable."""
     if type(value) in _NUMBERS:  # first: the other type checks take five times as long
         budget.spend(1)
         return value

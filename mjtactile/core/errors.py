@@ -18,8 +18,8 @@ class MjtactileError(Exception):
     exit_code = 3
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Errors cross processes, and their constructors take more, or less, than the text that
-        they make."""
+        """Return the state for pickling between processes; constructor arguments differ from the
+        message."""
         return _rebuild, (type(self), self.args, self.__dict__)
 
 

@@ -87,7 +87,7 @@ class Fiducials:
         return len(self.places)
 
     def p_SF(self, design: SensorDesign) -> Array:
-        """Centres (F, 3) m in S."""
+        """Return the centers (F, 3), m, in S."""
         z = -self.lip if self.surface == "rim" else _INK - design.chamber.depth
         return np.array([(x, y, z) for x, y in self.places])
 
@@ -112,7 +112,7 @@ class Fiducials:
         return min(behind, design.chamber.depth - self.lip)
 
     def volume(self, design: SensorDesign) -> float:
-        """Gas that the groove adds to the chamber, m^3."""
+        """Compute the gas volume that the groove adds to the chamber, m^3."""
         if self.surface != "rim":
             return 0.0
         frame = design.frame

@@ -20,7 +20,7 @@ _BACK = np.array([2, 0, 1])
 
 
 def unit(v: ArrayLike) -> Array:
-    """Vectors (..., 3) scaled to length 1; a zero vector becomes NaN, never a silent zero."""
+    """Scale vectors (..., 3) to length 1; a zero vector becomes NaN."""
     v = np.asarray(v, dtype=float)
     length = np.sqrt(np.einsum("...i,...i->...", v, v))[..., None]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -36,9 +36,9 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def normal_from_slope(z_x: ArrayLike, z_y: ArrayLike) -> Array:
-    """Unit normals (..., 3) of the surface z(x, y) with slopes dz/dx, dz/dy; they point towards -z.
+    """Return the unit normals (..., 3) of the surface z(x, y) with slopes dz/dx, dz/dy.
 
-    In frame S that is towards the camera, the side on which a marker is printed.
+    They point towards -z: in frame S towards the camera, the side of the printed markers.
     """
     z_x, z_y = np.broadcast_arrays(np.asarray(z_x, dtype=float), np.asarray(z_y, dtype=float))
     scale = 1 / np.sqrt(1 + z_x * z_x + z_y * z_y)
@@ -50,7 +50,7 @@ def normal_from_slope(z_x: ArrayLike, z_y: ArrayLike) -> Array:
 
 
 def slope_from_normal(n: ArrayLike) -> Array:
-    """Slopes (dz/dx, dz/dy) (..., 2) of the plane with normals `n` (..., 3); NaN where the plane is
+    """Return the slopes (dz/dx, dz/dy) (..., 2) of planes with normals `n` (..., 3); NaN if
     vertical."""
     n = np.asarray(n, dtype=float)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -58,7 +58,7 @@ def slope_from_normal(n: ArrayLike) -> Array:
 
 
 def tangents(n: ArrayLike) -> tuple[Array, Array]:
-    """Two unit vectors (..., 3) that with the unit normals `n` (..., 3) make right-handed
+    """Return two unit vectors a, b (..., 3) that complete unit normals `n` (..., 3) to right-handed
     orthonormal triads (a, b, n).
 
     Source: Duff et al., "Building an Orthonormal Basis, Revisited", J. Computer Graphics Techniques
@@ -75,8 +75,8 @@ def tangents(n: ArrayLike) -> tuple[Array, Array]:
 
 
 def rotation_from_vector(w: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) that turn by |w| rad about the axes `w` (..., 3) (Rodrigues'
-    formula)."""
+    """Return the rotation matrices (..., 3, 3) by |w| rad about the axes `w` (..., 3), by
+    Rodrigues' formula."""
     w = np.asarray(w, dtype=float)
     if w.ndim == 1:
         return _one_rotation(*w.tolist())
@@ -94,7 +94,7 @@ def rotation_from_vector(w: ArrayLike) -> Array:
 
 
 def _one_rotation(x: float, y: float, z: float) -> Array:
-    """The same of one vector, in a twentieth of the time."""
+    """Return the rotation matrix (3, 3) of one rotation vector, 20 times as fast as with arrays."""
     angle = math.sqrt(x * x + y * y + z * z)
     half = angle / 2
     # both are exact at 0 and have no cancellation
@@ -110,7 +110,7 @@ def _one_rotation(x: float, y: float, z: float) -> Array:
 
 
 def transform(R_AB: ArrayLike, p_AB: ArrayLike, p_BP: ArrayLike) -> Array:
-    """Points `p_AP` (..., 3) = R_AB p_BP + p_AB."""
+    """Transform points from frame B to A: `p_AP` (..., 3) = R_AB p_BP + p_AB."""
     return np.asarray(p_BP, dtype=float) @ np.swapaxes(
         np.asarray(R_AB, dtype=float), -1, -2
     ) + np.asarray(p_AB)

@@ -28,7 +28,7 @@ class Law(StrEnum):
 
 
 def shear_modulus(young: float, poisson: float) -> float:
-    """mu, Pa."""
+    """Return the shear modulus mu, Pa."""
     return young / (2 * (1 + poisson))
 
 
@@ -46,8 +46,8 @@ def thickness_over_area(log_det: Array, poisson: float) -> Array:
 
 
 def principal_stresses(stretches: Array, young: float, poisson: float, law: Law) -> Array:
-    """Second Piola-Kirchhoff stresses S (m, 2), Pa, along the principal axes, for principal
-    stretches (m, 2)."""
+    """Return the second Piola-Kirchhoff stresses S (m, 2), Pa, along the principal axes, for
+    principal stretches (m, 2)."""
     squares = stretches**2
     if law is Law.STVK:
         strains = (squares - 1) / 2

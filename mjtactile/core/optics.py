@@ -153,7 +153,7 @@ def project(camera: Camera, p_CP: ArrayLike) -> Array:
     """Project points `p_CP` (..., 3) m in C to pixels `uv_px` (..., 2), exactly through glass and
     lens.
 
-    NaN for a point that is behind the camera or, if there is a glass, not beyond it.
+    Returns NaN for a point behind the camera or not beyond the glass.
     """
     p = np.asarray(p_CP, dtype=float)
     return pixel_from_normalized(camera, camera.lens.distort(refract(camera, p)))
@@ -229,10 +229,10 @@ def glass_displacement(camera: Camera, tan2: ArrayLike) -> Array:
 
 
 def pixel_from_normalized(camera: Camera, xy: ArrayLike) -> Array:
-    """Pixels (..., 2) of (distorted) normalised coordinates (..., 2)."""
+    """Convert (distorted) normalized coordinates (..., 2) to pixels (..., 2)."""
     return np.asarray(xy, dtype=float) * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
 def normalized_from_pixel(camera: Camera, uv_px: ArrayLike) -> Array:
-    """(Distorted) normalised coordinates (..., 2) of pixels (..., 2)."""
+    """Convert pixels (..., 2) to (distorted) normalized coordinates (..., 2)."""
     return (np.asarray(uv_px, dtype=float) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)

@@ -72,12 +72,12 @@ class Outline:
     # -- the map
 
     def plane(self, square: Array) -> Array:
-        """Points (N, 2) m of the opening, for points (N, 2) of the square [-1, 1]^2."""
+        """Map points (N, 2) of the square [-1, 1]^2 to points (N, 2), m, of the opening."""
         z = self._mapped(_to_disc(square))[0]
         return np.column_stack([np.real(z), np.imag(z)])
 
     def jacobian(self, square: Array) -> Array:
-        """d(x, y)/d(u, v) (N, 2, 2) m at points (N, 2) of the square."""
+        """Return d(x, y)/d(u, v) (N, 2, 2), m, at points (N, 2) of the square."""
         u, v = square.T
         by_u = np.sqrt(1 - v**2 / 2) - 0.5j * u * v / np.sqrt(1 - u**2 / 2)
         by_v = -0.5 * u * v / np.sqrt(1 - v**2 / 2) + 1j * np.sqrt(1 - u**2 / 2)
@@ -86,7 +86,7 @@ class Outline:
         return np.stack([np.stack([z.real, z.imag], -1) for z in columns], -1)
 
     def disc_jacobian(self, disc: Array) -> Array:
-        """d(x, y)/d(Re w, Im w) (N, 2, 2) m at points (N, 2) of the unit disc."""
+        """Return d(x, y)/d(Re w, Im w) (N, 2, 2), m, at points (N, 2) of the unit disc."""
         _, by_w, by_conjugate = self._mapped(disc[:, 0] + 1j * disc[:, 1])
         columns = [by_w + by_conjugate, 1j * (by_w - by_conjugate)]
         return np.stack([np.stack([z.real, z.imag], -1) for z in columns], -1)
@@ -97,12 +97,13 @@ class Outline:
         return _to_square(self._disc(plane))
 
     def disc(self, plane: Array) -> Array:
-        """Points (N, 2) of the unit disc, likewise."""
+        """Map points (N, 2) m of the opening to points (N, 2) of the unit disc. Points outside
+        of the opening map to the disc's boundary."""
         w = self._disc(plane)
         return np.column_stack([np.real(w), np.imag(w)])
 
     def _disc(self, plane: Array) -> NDArray:
-        """w (N,) of points (N, 2) m."""
+        """Return the complex disc coordinates w (N,) of points (N, 2), m."""
         z = plane[:, 0] + 1j * plane[:, 1]
         # initial value from the affine part, which is exact for circles and ellipses
         a = self.powers[1]
@@ -151,7 +152,8 @@ class Outline:
         return middles + by * normals
 
     def points(self, count: int) -> Array:
-        """Points (count, 2) m on it, counter-clockwise from where it crosses x, evenly spaced."""
+        """Return evenly spaced points (count, 2), m, on the outline, counter-clockwise from the
+        x axis."""
         w = np.exp(2j * np.pi * np.arange(count) / count)
         z = self._mapped(w)[0]
         return np.column_stack([np.real(z), np.imag(z)])
@@ -181,7 +183,7 @@ class Outline:
 
 
 def _polynomial(coefficients: Sequence[complex], w: NDArray) -> tuple[NDArray, NDArray]:
-    """Value and derivative at `w`, by Horner's scheme."""
+    """Return value and derivative of a polynomial at `w`, by Horner's scheme."""
     value = np.zeros_like(w)
     slope = np.zeros_like(w)
     for coefficient in reversed(coefficients):
@@ -196,7 +198,7 @@ def _to_disc(square: Array) -> NDArray:
 
 
 def _to_square(w: NDArray) -> Array:
-    """The inverse of `_to_disc`."""
+    """Map the unit disc to the square; the inverse of `_to_disc`."""
 
     def along(first: Array, second: Array) -> Array:
         rest = 2 + first**2 - second**2
@@ -211,8 +213,8 @@ def _to_square(w: NDArray) -> Array:
 
 
 def _sampled(corners: Sequence[tuple[float, float]], radius: float) -> NDArray:
-    """Points (n,) x + i y m, evenly along a polygon with rounded corners, from where it crosses x
-    on."""
+    """Return evenly spaced points (n,), x + i y, m, on a polygon with rounded corners, from the
+    x axis."""
     p = np.array([complex(*corner) for corner in corners])
     edges = np.roll(p, -1) - p
     if len(p) < 3 or (np.imag(np.conj(p) * np.roll(p, -1)) <= 0).any():

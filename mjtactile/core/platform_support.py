@@ -10,8 +10,7 @@ REFUSAL = "mjtactile runs on Linux and macOS; on Windows, inside WSL (Windows Su
 
 
 def is_supported() -> bool:
-    """False on Windows, which has neither serial ports nor signals nor pseudo-terminals of POSIX's
-    kind."""
+    """Return False on Windows, which has no POSIX serial ports, signals and pseudo-terminals."""
     return sys.platform != "win32"
 
 

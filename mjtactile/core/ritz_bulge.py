@@ -143,8 +143,8 @@ class _RitzMembrane:
         return self.values.shape[1]
 
     def residual(self, unknown: Array, pressure: float, weight: float) -> Array:
-        """Forces (3 k,), N, that are missing to equilibrium under `pressure` Pa and `weight`
-        N/m^2."""
+        """Return the residual forces (3 k,), N, under `pressure` Pa and `weight` N/m^2; zero in
+        equilibrium."""
         c = _SCALE * unknown.reshape(3, -1)
         F = np.einsum("dk,dekq->deq", c, self.slopes)
         F[0, 0] += 1
@@ -180,8 +180,8 @@ def _stress(F: Array, membrane: Membrane) -> Array:
 
 
 def _quarter(count: int, disc: bool) -> tuple[Array, Array]:
-    """Gauss points (q, 2) of a quarter of the unit disc or square, and four times their areas
-    (q,)."""
+    """Return Gauss points (q, 2) of a quarter of the unit disc or square, and four times their
+    areas (q,)."""
     t, w = leggauss(count)
     t = (t + 1) / 2
     w = w / 2
@@ -219,7 +219,7 @@ def _orders(degree: int, odd: tuple[int, int], symmetric: bool) -> list[tuple[in
 
 
 def _products(positions: Array, orders: list[tuple[int, int]]) -> tuple[Array, Array]:
-    """Chebyshev's T_i(x) T_j(y) (k, q), and its derivatives (2, k, q)."""
+    """Return the Chebyshev products T_i(x) T_j(y) (k, q) and their derivatives (2, k, q)."""
     i, j = np.array(orders).T
     maximum = int(max(i.max(), j.max()))
     (x, by_x), (y, by_y) = (_chebyshev(coordinate, maximum) for coordinate in positions.T)

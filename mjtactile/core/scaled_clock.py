@@ -39,7 +39,8 @@ def slow() -> float:
 
 
 def set_slow(times: float) -> None:
-    """From now on, in this process and those that it starts. Before any device is connected."""
+    """Set the wall-clock seconds per scaled second, for this process and those it starts later.
+    Call it before any device is connected."""
     global _slow  # noqa: PLW0603  # one pace for all of a process
     _slow = times
     os.environ[_NAME] = repr(times)
@@ -60,7 +61,7 @@ def wall(seconds: float) -> float:
 
 
 def sleep(seconds: float) -> None:
-    """`time.sleep` at this pace."""
+    """Wait for `seconds` of this clock."""
     time.sleep(wall(seconds))
 
 

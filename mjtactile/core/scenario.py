@@ -38,11 +38,11 @@ class FileName(Entry):
     others: tuple[str, ...] = ()
 
     def read(self, section: Section, default: Any) -> str:
-        """The name, or the path of the file."""
+        """Return the name, or the path of the file."""
         return self.read_key(section, self.key, default)
 
     def read_key(self, section: Section, key: str, default: Any = ...) -> str:
-        """`read`, under another key."""
+        """Return the name, or the path of the file, of another key; see `read`."""
         value = section.text(key, default=default)
         shipped = [*resources.names(self.folder, self.suffix), *self.others]
         choices = [*shipped, f"FILE{self.suffix}"]

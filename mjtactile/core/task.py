@@ -240,7 +240,7 @@ def _key(kind: type, name: str) -> str:
 
 
 def _written(kind: type, name: str, value: float) -> float:
-    """In the file's units, as a result keeps it."""
+    """Convert a value to the file's unit, rounded as in results."""
     found = entries(kind)[name]
     unit = found.unit if isinstance(found, Numbers) else 1.0
     return float(f"{value / unit:.6g}")
@@ -269,7 +269,7 @@ def _way(disturbance: Disturbance, seed: int, name: str) -> tuple[float, float, 
 
 
 def _direction(seed: int, name: str) -> tuple[float, float, float]:
-    """A unit vector, any as likely as another."""
+    """Sample a unit vector (3,) uniformly on the sphere."""
     rng = np.random.default_rng([seed, zlib.crc32(f"task.{name}".encode())])
     direction = rng.standard_normal(3)
     x, y, z = (float(value) for value in direction / np.linalg.norm(direction))

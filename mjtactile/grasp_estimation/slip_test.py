@@ -70,6 +70,6 @@ def evaluate_slip_test(normal: ArrayLike, shear: ArrayLike) -> SlipTestResult:
 
 
 def _without_trend(values: Array) -> Array:
-    """Less mean and slope."""
+    """Subtract mean and linear trend."""
     time = np.linspace(-1.0, 1.0, len(values))
     return values - values.mean() - time * float(time @ values) / float(time @ time)

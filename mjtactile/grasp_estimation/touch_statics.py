@@ -294,5 +294,5 @@ def _wrench(touch: Touch) -> Array:
 
 
 def _covariance(touch: Touch) -> Array:
-    """(2, 2) N^2 of the shear."""
+    """Return the covariance (2, 2) of the shear force, N^2."""
     return np.zeros((2, 2)) if touch.traction is None else touch.traction.wrench_cov[:2, :2]

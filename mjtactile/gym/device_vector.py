@@ -133,9 +133,9 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._observation(self._grasps.observation), {"seed": self._grasps.episode_seeds}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One camera period in all worlds; those that are over start their next episode.
+        """Step all worlds by one camera period; worlds whose episode has ended start the next one.
 
-        `info["outcome"]` (num_envs,) are numbers of `OUTCOMES`: 0 while an episode continues.
+        `info["outcome"]` (num_envs,) holds indices into `OUTCOMES`: 0 while an episode continues.
         """
         if not self._started:
             raise gymnasium.error.ResetNeeded("no episode has started: call reset()")

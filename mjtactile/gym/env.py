@@ -179,7 +179,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         return self._shown(), self._info()
 
     def step(self, action: Array) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """One camera period with `action`. After the end of an episode it must be reset."""
+        """Step by one camera period with `action`. Call `reset` after the end of an episode."""
         self._require_open()
         if self._over:
             text = "no episode has started" if self._cycle is None else "the episode has ended"
@@ -207,7 +207,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         return self._shown(), reward, bool(outcome) and outcome != "error", truncated, info
 
     def render(self) -> Array | None:
-        """The cameras' images side by side (h, w, 3) uint8."""
+        """Return the cameras' images side by side (h, w, 3), uint8; None without a render mode."""
         self._require_open()
         if self.render_mode is None or self._cycle is None:
             return None

@@ -52,7 +52,8 @@ class ActionRepeatScaling(gymnasium.Wrapper):
         return (shown / SCALE).astype(np.float32), info
 
     def step(self, action: ArrayLike) -> tuple[NDArray, float, bool, bool, dict[str, Any]]:
-        """The action for `steps` steps, or to the episode's end; rewards are summed."""
+        """Repeat the action for `steps` steps, or to the end of the episode, and sum the
+        rewards."""
         scaled = MIDDLE + SPAN * np.asarray(action)
         total = 0.0
         for _ in range(self._steps):

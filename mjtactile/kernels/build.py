@@ -76,12 +76,12 @@ def wheel_tag(target: str) -> str:
 
 
 def instruction_sets(target: str) -> list[str]:
-    """Names of all that a wheel for this platform holds."""
+    """Return the names of all instruction sets in a wheel for this platform."""
     return [name for name, _, _ in _sets(target)]
 
 
 def best_set() -> str:
-    """The best that this very processor can run."""
+    """Return the name of the best instruction set of this processor."""
     has = _processor_flags()
     return next(name for name, needs, _ in _sets(this_platform()) if needs <= has)
 
@@ -155,7 +155,7 @@ def _has_zig() -> bool:
 
 
 def _compiler(target: str) -> list[str]:
-    """The command that compiles for the platform `target`."""
+    """Return the command that compiles for the platform `target`."""
     if _has_zig():
         zig = [sys.executable, "-m", "ziglang", "cc"]
         # Without a target Zig compiles for this very processor, whatever it has.
