@@ -156,7 +156,7 @@ def _foreign(source: Any, name: str, conversion: str) -> InputError:
 
 
 def _yaml_table(text: str, source: str) -> dict[str, Any]:
-    """Return the first document of a YAML file; matrices of OpenCV are tables."""
+    """Return the first document of a YAML file. Matrices of OpenCV are tables."""
     import yaml  # only this function needs it
 
     class Loader(yaml.SafeLoader):

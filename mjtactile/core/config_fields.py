@@ -172,9 +172,9 @@ def scalars(kind: type) -> Iterator[tuple[str, str, str, Number]]:
 
 
 def read(kind: type[T], section: Section, **given: Any) -> T:
-    """Read a dataclass from a section of a file, SI; on return, all keys have been checked.
+    """Read a dataclass from a section of a file, SI. On return, all keys have been checked.
 
-    Fields without an `Entry` keep their defaults; those in `given` (SI) are not read. Raises
+    Fields without an `Entry` keep their defaults. Those in `given` (SI) are not read. Raises
     InputError that names file, field and value if one is missing, unknown, of the wrong type, out
     of range, or inconsistent.
     """

@@ -23,7 +23,7 @@ class _NotSerializable(Exception):
 
 
 _NUMBERS = frozenset({float, bool, type(None)})
-"""Types copied unchanged, without further checks; they make up the majority of a memory."""
+"""Types copied unchanged, without further checks. They make up the majority of a memory."""
 
 
 class _SizeBudget:

@@ -18,7 +18,7 @@ class MjtactileError(Exception):
     exit_code = 3
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the state for pickling between processes; constructor arguments differ from the
+        """Return the state for pickling between processes. Constructor arguments differ from the
         message."""
         return _rebuild, (type(self), self.args, self.__dict__)
 

@@ -241,7 +241,7 @@ class Flag(str):
         return f"{self.first:.2f} to {self.last:.2f} s, {100 * self.fraction:.0f} % of the time"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object of the flag; unknown times are NaN (null in JSON)."""
+        """Return the JSON object of the flag. Unknown times are NaN (null in JSON)."""
         return {
             "reason": str(self),
             "first_s": self.first,

@@ -10,7 +10,7 @@ from mjtactile.core.errors import InputError
 
 
 def read_text(path: Path, largest: int, content: str) -> str:
-    """Read a UTF-8 file as `read_bytes` does; a byte order mark is ignored.
+    """Read a UTF-8 file as `read_bytes` does. A byte order mark is ignored.
 
     Raises UnicodeDecodeError if it is not UTF-8.
     """
@@ -49,7 +49,7 @@ def read_bytes(path: Path, largest: int, content: str, field: str | None = None)
 
 
 def user_path(text: str | Path) -> Path:
-    """Return the path of a user's text, with "~" expanded; an unknown user's "~" is kept."""
+    """Return the path of a user's text, with "~" expanded. An unknown user's "~" is kept."""
     try:
         return Path(text).expanduser()
     except RuntimeError:

@@ -47,7 +47,7 @@ def decode(data: bytes, flags: int) -> NDArray | None:
 
 
 def is_sound(data: bytes) -> bool:
-    """Return True if an image file is complete; a PNG file is only checked, not decoded."""
+    """Return True if an image file is complete. A PNG file is only checked, not decoded."""
     if data.startswith(_SIGNATURE):
         return _is_sound_png(data)
     return decode(data, cv2.IMREAD_GRAYSCALE) is not None

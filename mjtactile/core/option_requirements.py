@@ -14,7 +14,7 @@ from mjtactile.core.errors import InputError
 
 @dataclass(frozen=True)
 class Requirement:
-    """The `value` of an `option` needs an `effect`; `reason` states what is missing without it."""
+    """The `value` of an `option` needs an `effect`. `reason` states what is missing without it."""
 
     option: str
     value: object

@@ -32,7 +32,7 @@ _ROOT2 = np.sqrt(2.0)
 
 
 class OutlineError(ValueError):
-    """Corners that do not form a valid outline; `field` is the key in the sensor file."""
+    """Corners that do not form a valid outline. `field` is the key in the sensor file."""
 
     def __init__(self, field: str, message: str):
         self.field = field

@@ -73,7 +73,7 @@ def policy_observation_names(fingers: int = 2) -> list[str]:
 
 
 def policy_bounds(fingers: int = 2) -> Array:
-    """Return the maximum absolute value of each entry of a vector; larger values are clipped."""
+    """Return the maximum absolute value of each entry of a vector. Larger values are clipped."""
     return _bounds(fingers).copy()
 
 
@@ -123,7 +123,7 @@ def command_from_action(observation: Observation, action: ArrayLike) -> Command:
 
     Args:
         observation: Observation of the policy.
-        action: Opening speed, force limit and lift speed (3,), each clipped to [-1, 1]; non-finite
+        action: Opening speed, force limit and lift speed (3,), each clipped to [-1, 1]. Non-finite
             values count as 0.
 
     Returns:

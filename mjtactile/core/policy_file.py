@@ -109,7 +109,7 @@ def save_policy(
         layers: Weights (outputs, inputs) and biases (outputs,) of each layer, first to last.
         activation: Function between the layers: "tanh" or "relu". A single layer needs none.
         input_center: Center of the observations, a number or one per entry.
-        input_scale: Their scale; an entry with the scale inf is not used.
+        input_scale: Their scale. An entry with the scale inf is not used.
         output_center: Center of the actions.
         output_scale: Their scale.
 

@@ -41,8 +41,8 @@ def start(
 ) -> subprocess.Popen[str]:
     """Start `python -m MODULE ARGS` as a child process.
 
-    It inherits these file `descriptors`. With `talk`, its stdin and stdout are pipes for `ask`;
-    otherwise they are the null device. It is ended `grace` s after this process, unless it ends
+    It inherits these file `descriptors`. With `talk`, its stdin and stdout are pipes for `ask`.
+    Otherwise they are the null device. It is ended `grace` s after this process, unless it ends
     earlier.
     """
     home = str(Path(__file__).resolve().parents[2])

@@ -104,7 +104,7 @@ def _file(key: str, folder: str, suffix: str, *others: str, default: str) -> Any
 @validated(seed=within(0, 2**63 - 1))
 @dataclass(frozen=True)
 class Scenario:
-    """One run. Names are of shipped files, or paths of a user's own; every field has a default.
+    """One run. Names are of shipped files, or paths of a user's own. Every field has a default.
 
     Attributes:
         object: Object to grasp: a shipped name, FILE.xml or "random:N".
@@ -112,7 +112,7 @@ class Scenario:
         controller: Shipped name or FILE.py.
         rig: Shipped name, FILE.toml, "replay:FOLDER", or that of an installed backend.
         sensor: Sensor on each finger: shipped name, FILE.toml, or a design created in memory.
-        sensors: Sensors by finger, if different from `sensor`, as that; they override the rig file.
+        sensors: Sensors by finger, if different from `sensor`, as that. They override the rig file.
         effects: Simulated effects: "auto", or "+NAME,-NAME".
         accuracy: Accuracy of the simulation: "" (default), "0.02N" or "realtime".
         randomization: Ranges from which the seed randomizes the world: shipped name, FILE.toml, or
@@ -178,7 +178,7 @@ class Scenario:
         """Write it out.
 
         Returns:
-            The scenario as files and results keep it; `mjtactile.load_scenario` reads it again.
+            The scenario as files and results keep it. `mjtactile.load_scenario` reads it again.
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         limit = values.pop("time_limit")

@@ -1,7 +1,7 @@
 """Parts of a sensor: frame, membrane, markers, chamber, glass, camera, light. Each is a section of
 a sensor file.
 
-All quantities are SI internally. The file's keys carry the unit; each field defines its unit and
+All quantities are SI internally. The file's keys carry the unit. Each field defines its unit and
 range (`mjtactile.core.config_fields`). The format: docs/reference/sensor_files.md.
 """
 
@@ -388,7 +388,7 @@ class CameraDesign(Pinhole):
 
     @property
     def p_SC(self) -> Array:
-        """Camera centre in S; the camera's axes are parallel to those of S (R_SC = I)."""
+        """Camera centre in S. The camera's axes are parallel to those of S (R_SC = I)."""
         return np.array([0.0, 0.0, -self.distance])
 
 

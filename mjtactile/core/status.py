@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class StatusCode(StrEnum):
-    """Cause of an invalid value. The first stage that detects a fault sets it; later stages pass it
+    """Cause of an invalid value. The first stage that detects a fault sets it. Later stages pass it
     on."""
 
     OK = "ok"

@@ -59,7 +59,7 @@ class SampledDisturbance:
 @dataclass(frozen=True)
 class SampledTask:
     """Values sampled by a seed: mass, kg, friction coefficient, and breaking factor over the
-    required force. They are None if the task does not set them; `values` are in the file's units,
+    required force. They are None if the task does not set them. `values` are in the file's units,
     for results. `liquid` is the fill height over the object's height. `path` is that of the gripper
     (None: no motion)."""
 
@@ -180,7 +180,7 @@ class Task:
         return replace(grasped, values=values, path=self._path(at))
 
     def _path(self, at: Callable[[str, Range], float]) -> GripperPath | None:
-        """Return the gripper's path; `at` chooses the value of a name from its range."""
+        """Return the gripper's path. `at` chooses the value of a name from its range."""
         segments = []
         for number_, waypoint in enumerate(self.waypoints, 1):
             found: dict[str, Any] = {
@@ -259,7 +259,7 @@ def _logarithmic(span: Range, fraction: float) -> float:
 
 
 def _way(disturbance: Disturbance, seed: int, name: str) -> tuple[float, float, float]:
-    """Return the unit vector of a disturbance; a sampled pull is not from below."""
+    """Return the unit vector of a disturbance. A sampled pull is not from below."""
     if disturbance.direction is not None:
         x, y, z = disturbance.direction
         length = math.hypot(x, y, z)

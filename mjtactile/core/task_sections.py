@@ -69,7 +69,7 @@ class GoalSettings:
 
 @dataclass(frozen=True)
 class ObjectRandomization:
-    """Randomization of the object; properties without a range keep the value of its file."""
+    """Randomization of the object. Properties without a range keep the value of its file."""
 
     mass: Range | None = sampled_range(
         "mass_g", 0.1, 2000, 1e-3, about="mass, uniform in its logarithm"

@@ -53,7 +53,7 @@ class LoadEstimator:
 
     @validated()
     def hanging(self, touch: Sequence[Touch]) -> LoadEstimator:
-        """Store the load direction; from now on the fingers alone carry the load.
+        """Store the load direction. From now on the fingers alone carry the load.
 
         Args:
             touch: Current touches.

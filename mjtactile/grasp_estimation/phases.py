@@ -109,7 +109,7 @@ def run_cycle(
 def _update_contact_clocks(
     observation: Observation, command: Command, contact_force: float
 ) -> Command:
-    """Update `blind_time` and `lost_time`; abort after a long time without a force estimate."""
+    """Update `blind_time` and `lost_time`. Abort after a long time without a force estimate."""
     unknown = [touch for touch in observation.touch if not isfinite(touch.force_normal)]
     if not unknown:
         in_contact = max(touch.force_normal for touch in observation.touch) > contact_force
@@ -165,7 +165,7 @@ def approach(
 def settle(
     observation: Observation, command: Command, is_settled: bool, settle_time: float
 ) -> Command:
-    """Enter "lift" after the force was settled for `settle_time` s; abort after `GRIP_TIMEOUT`."""
+    """Enter "lift" after the force was settled for `settle_time` s. Abort after `GRIP_TIMEOUT`."""
     settled_time = command.memory["settled_time"] + observation.period if is_settled else 0.0
     if settled_time >= settle_time:
         return enter_phase(command, "lift")
@@ -175,7 +175,7 @@ def settle(
 
 
 def hold(observation: Observation, command: Command) -> Command:
-    """Store the shear of the held object; enter "lower" after the hold time of the goal."""
+    """Store the shear of the held object. Enter "lower" after the hold time of the goal."""
     command = remember(command, held=shear(observation.touch).tolist())
     is_over = command.memory["phase_time"] >= observation.goal.hold_time
     return enter_phase(command, "lower") if is_over else command

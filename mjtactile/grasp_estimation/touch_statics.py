@@ -142,7 +142,7 @@ def estimate_friction(touch: Sequence[Touch], *, min_force: float = 0.1) -> Fric
 
     Args:
         touch: One value per finger.
-        min_force: Minimum normal force of a finger, N; below it the finger is ignored.
+        min_force: Minimum normal force of a finger, N. Below it the finger is ignored.
 
     Returns:
         The estimate from this moment alone.

@@ -44,7 +44,7 @@ _RESET = f"{_SOURCE}: reset"
 
 @validated(num_envs=not_below(1), time_limit=above(0, math.inf))
 class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
-    """`num_envs` grasps on one device; world k of `reset(seed=s)` has the seed s + k.
+    """`num_envs` grasps on one device. World k of `reset(seed=s)` has the seed s + k.
 
     Arrays are tensors of PyTorch that share memory with the device where PyTorch is installed, else
     NumPy arrays. Tensors are overwritten by the next step.
@@ -133,7 +133,7 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         return self._observation(self._grasps.observation), {"seed": self._grasps.episode_seeds}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step all worlds by one camera period; worlds whose episode has ended start the next one.
+        """Step all worlds by one camera period. Worlds whose episode has ended start the next one.
 
         `info["outcome"]` (num_envs,) holds indices into `OUTCOMES`: 0 while an episode continues.
         """

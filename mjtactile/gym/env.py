@@ -78,7 +78,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         reward: "outcome", at the end only, or "progress", in addition for contact and phases
             reached: for learning from scratch.
         render_mode: None, or "rgb_array": the cameras' images.
-        scenario: Replacement for all of these names, which are then not given; its own seed,
+        scenario: Replacement for all of these names, which are then not given. Its own seed,
             controller and time limit are ignored.
         task: Task: a shipped name, or FILE.toml.
 
@@ -232,13 +232,13 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         return self._session.rig
 
     def _scenario_of(self, seed: int) -> Scenario:
-        """Return the scenario of an episode; a "random" object is that of the seed."""
+        """Return the scenario of an episode. A "random" object is that of the seed."""
         name = self.scenario.object
         name = f"{name}:{seed}" if name == RANDOM else name
         return replace(self.scenario, seed=seed, object=name)
 
     def _build(self, seed: int) -> None:
-        """Build a new world and take the references; keep its state for a fast reset."""
+        """Build a new world and take the references. Keep its state for a fast reset."""
         self.close()
         rig = build_rig(self._scenario_of(seed))
         if rig.scene is None:

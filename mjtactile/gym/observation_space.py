@@ -41,7 +41,7 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
 
 
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:
-    """Return the observation in that space; a marker that is not visible is 0, with `seen` 0."""
+    """Return the observation in that space. A marker that is not visible is 0, with `seen` 0."""
     vector = policy_observation(observation)
     if kind == "wrench":
         return vector

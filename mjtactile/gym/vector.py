@@ -32,7 +32,7 @@ def make_vector(num_envs: int, device: str | None = None, **how: Any) -> gymnasi
 
 @validated(num_envs=not_below(1), threads=not_below(1))
 class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
-    """`num_envs` of `GraspEnv` with the other arguments `how`; seeds are s, s + 1, ….
+    """`num_envs` of `GraspEnv` with the other arguments `how`. Seeds are s, s + 1, ….
 
     `threads` step them (None: one for each processor). `autoreset_mode` is that of Gymnasium.
     """

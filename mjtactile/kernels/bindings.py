@@ -82,7 +82,7 @@ def band_stride(width: int) -> int:
 
 @dataclass(frozen=True)
 class KernelArgument:
-    """Argument of a C function; `shape` is the declared array shape, "" for a scalar."""
+    """Argument of a C function. `shape` is the declared array shape, "" for a scalar."""
 
     name: str
     kind: str

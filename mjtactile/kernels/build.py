@@ -87,7 +87,7 @@ def best_set() -> str:
 
 
 def library(instructions: str | None = None, target: str | None = None) -> Path:
-    """Return the path of the kernel library; build it if it does not exist.
+    """Return the path of the kernel library. Build it if it does not exist.
 
     `instructions` default to the best set of this processor, `target` to this platform. Raises
     RuntimeError with a remedy if there is no compiler, or it fails.
@@ -117,7 +117,7 @@ def library(instructions: str | None = None, target: str | None = None) -> Path:
 
 
 def _forget_others(library: Path, kind: str) -> None:
-    """Delete libraries of other source versions in a checkout; running processes keep theirs."""
+    """Delete libraries of other source versions in a checkout. Running processes keep theirs."""
     if library.parent == FOLDER / MADE:
         for old in library.parent.glob(f"kernels-*-{kind}.so"):
             if old != library:

@@ -38,7 +38,7 @@ _MIN_MESH = 8  # vertices along a side: the shipped sensors' references are in b
 
 @dataclass(frozen=True, eq=False)
 class AttachedSensor:
-    """Sensor attached to a spec; `bind` connects it to each model compiled from that spec.
+    """Sensor attached to a spec. `bind` connects it to each model compiled from that spec.
 
     Attributes:
         membrane: The attached membrane.

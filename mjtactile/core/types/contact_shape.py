@@ -84,7 +84,7 @@ class ContactShape:
         misfit: Mean square of the markers' height residuals over their variance: near 1.
         status: "ok", or the reason why it is unknown.
         parts: Separate shapes of several contacts, the strongest first. Pose and outline are then
-            those of the first; area and force are those of all.
+            those of the first. Area and force are those of all.
         motion: Motion relative to the rubber; None: too few consecutive images.
     """
 

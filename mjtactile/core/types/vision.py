@@ -19,7 +19,7 @@ class Image:
     """An image of one camera.
 
     Attributes:
-        pixels: (H, W) uint8 grey levels, indexed [v, u]; pixel (0, 0) is the centre of the top-left
+        pixels: (H, W) uint8 grey levels, indexed [v, u]. Pixel (0, 0) is the centre of the top-left
             pixel.
         time: Of capture, s.
     """
@@ -36,7 +36,7 @@ class Ellipses:
     """N ellipses in distorted pixel coordinates: center (N, 2), semi-axes a >= b (N, 2), angle of a
     (N,) rad.
 
-    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle); `status` (N,) are strings. `darkness`
+    `cov` (N, 5, 5) is the covariance of (u, v, a, b, angle). `status` (N,) are strings. `darkness`
     (N,) is the logarithm of the grey level inside over that `outside` (N,). `blur_px` (N,) is the
     standard deviation of the edge blur (None: unknown).
     """
