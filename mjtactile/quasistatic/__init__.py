@@ -25,7 +25,7 @@ Limits and their cost (docs/validation/benchmarks/quasistatic.md):
 - Contact is evaluated at nodes only. A contact smaller than a few cells depends on its position
   between the nodes. The force of a 4 mm ball 0.5 mm deep varies by up to 14 % on nodes 2 mm apart.
   That of a thin rod varies by more. Blades are in contact with the nearest line of nodes. Ridges
-  are 10 % too stiff there. The tip of a 45 degree cone is a third too soft; most steeper cones are
+  are 10 % too stiff there. The tip of a 45 degree cone is a third too soft. Most steeper cones are
   rejected. `MembraneSolution.relative_force_error` is the bound that holds for 9 of 10 such forces.
   It is 1 for a tip without contact at any node. `relative_area_error` is that of areas. The area is
   unknown if the contact is a point or a line on this grid. `QuasistaticMembrane.refined_for`

@@ -101,7 +101,7 @@ def _whole_number(field: str, value: Any) -> int:
 
 
 def pressure(gauge: Any) -> float:
-    """A gas's pressure at rest, Pa above ambient. Raises InputError."""
+    """Return a valid gas pressure without contact, Pa above ambient. Raises InputError."""
     try:
         found = float(gauge)
     except (TypeError, ValueError):

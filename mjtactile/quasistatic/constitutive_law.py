@@ -57,7 +57,7 @@ def tension(membrane: Membrane, area_ratio: float) -> float:
 
 
 def tension_slope(membrane: Membrane, area_ratio: float) -> float:
-    """dT/dJ, N/m, of `tension` at `area_ratio`."""
+    """Return dT/dJ, N/m, of `tension` at `area_ratio`."""
     step = 1e-4
     return (tension(membrane, area_ratio + step) - tension(membrane, area_ratio - step)) / (
         2 * step

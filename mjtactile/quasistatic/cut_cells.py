@@ -68,7 +68,7 @@ def free_nodes(cut: Array, grid: tuple[int, int]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class _Crossings:
-    """Crossings of a grid and an outline; `inside` (nx, ny) is True for free nodes.
+    """Crossings of a grid and an outline. `inside` (nx, ny) is True for free nodes.
 
     Grid line k along y, at x[k], crosses the outline at `across_y` (2, nx), lower and upper. Line k
     along x crosses it at `across_x` (2, ny).
@@ -135,7 +135,7 @@ class _Corner:
 
 @dataclass(frozen=True)
 class _Triangle:
-    """Triangle of a cut cell with weight `fraction`; `towards` maps free nodes to fixed ones."""
+    """Triangle of a cut cell with weight `fraction`. `towards` maps free nodes to fixed ones."""
 
     corners: tuple[_Corner, _Corner, _Corner]
     fraction: float
@@ -162,7 +162,7 @@ def _triangles(grid: _Crossings, i: int, j: int) -> Iterator[_Triangle]:
 def _triangulate(
     polygon: Sequence[_Corner],
 ) -> Iterator[tuple[tuple[_Corner, _Corner, _Corner], float]]:
-    """A convex polygon of 3 to 6 corners in triangles, and how much each counts."""
+    """Split a convex polygon of 3 to 6 corners into triangles; yield each with its weight."""
     count = len(polygon)
     if count <= 4:
         for (a, b, c), fraction in _DIVISIONS[count]:
@@ -176,7 +176,7 @@ def _triangulate(
 
 
 def _group(triangles: Sequence[_Triangle], rows: int, cell: float) -> tuple[Array, float]:
-    """Groups (n, 13, 8) of triangles for the kernel, and the area of all."""
+    """Return groups (n, 13, 8) of triangles for the kernel, and their total area."""
     line = _full_groups(rows)
     found = []
     total = 0.0

@@ -252,7 +252,7 @@ def _pool(kind: str, corners: Array | None, data: ArrayLike | None) -> Array:
 
 
 def _hull(vertices: Array) -> Array:
-    """Planes (m, 4) of the convex hull: n x <= d; one of a face, however many triangles it has."""
+    """Return the planes (m, 4), n x <= d, of the convex hull, one per face."""
     from scipy.spatial import ConvexHull, QhullError  # takes a tenth of a second to import
 
     try:
@@ -269,7 +269,7 @@ _NO_POOL = np.zeros((0, 4))
 
 
 def _rotation(R_SO: ArrayLike | None) -> Array:
-    """By rows, (9,)."""
+    """Return the entries (9,) of a rotation matrix or quaternion, row by row. Raises InputError."""
     if R_SO is None:
         return _IDENTITY
     given = np.asarray(R_SO, dtype=float)

@@ -245,14 +245,13 @@ TRUE: Mapping[str, tuple[str, str]] = {
     "object_position_true": ("m", "position of the object (x, y, z), frame W"),
     "object_quaternion_true": ("", "rotation of the object (w, x, y, z), frame W"),
 }
-"""The same of the columns that only a simulation has; `mjtactile.runtime.grasp_scoring` gives
-them."""
+"""Unit and meaning of the columns of a simulation, from `mjtactile.runtime.grasp_scoring`."""
 
 KEYS = ("images", *SENSED, *TRUE)
 
 
 def make_row(cycle: CycleLike, names: Sequence[str], truth: Mapping[str, Any]) -> dict[str, Any]:
-    """One line of the log; `names` are the files of the cycle's images, if it has any."""
+    """Return one line of the log. `names` are the files of the cycle's images."""
     return {
         "kind": "cycle",
         "images": list(names),

@@ -41,7 +41,7 @@ _ONE = {
         NUMBER,
     ),
 }
-"""Columns of one value; the others have a list of one a finger or valve."""
+"""Columns of one value. The others have a list of one a finger or valve."""
 _LISTS = {
     "status": TEXT,
     "status_code": TEXT,
@@ -64,7 +64,7 @@ _PARTS = {
 }
 """Number of values per finger; the default is one."""
 _LENGTHS = {"object_position_true": 3, "object_quaternion_true": 4}
-"""Number of values of a list that is not one per finger; a cycle has all of them, or none."""
+"""Number of values of a list that is not one per finger. A cycle has all of them, or none."""
 _REQUIRED = (
     *("time", "phase", "images", "image_time", "status", "touching", "force_normal"),
     *("opening", "speed", "effort", "lift_height", "valve_open"),
@@ -201,7 +201,7 @@ def _missing(row: Mapping[str, Any]) -> list[str]:
 
 
 def wrong_note(row: Mapping[str, Any]) -> str | None:
-    """The same of a line that is not a cycle: the recording's header, its notes, a reference."""
+    """Return the first invalid field of a header, note or reference line, or None."""
     if row.get("kind") == "reference":
         return _wrong_reference(row)
     for key, want in (_HEADER if row.get("kind") == "start" else _NOTES).items():

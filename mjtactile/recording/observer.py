@@ -54,7 +54,7 @@ class Observer:
         """
 
     def on_images(self) -> None:
-        """Handle the images of a cycle; a simulated world is still paused at their time."""
+        """Handle the images of a cycle. A simulated world is still paused at their time."""
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         """Receive a cycle after its command was sent.

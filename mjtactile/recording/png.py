@@ -19,7 +19,7 @@ _UP = 2  # first byte of each row: less the row above, which saves a sixth of th
 
 
 def encode(pixels: NDArray[np.uint8]) -> bytes:
-    """`pixels` (H, W), 8 bit grey, as a PNG file."""
+    """Encode 8-bit gray `pixels` (H, W) as a PNG file."""
     height, width = pixels.shape
     rows = np.empty((height, width + 1), np.uint8)
     rows[:, 0] = _UP

@@ -106,8 +106,8 @@ class Stage:
 
 
 def read_moves(name_or_path: str | Path) -> tuple[Move, ...]:
-    """The moves of a protocol, shipped or a CSV file's. Raises InputError naming file, line and
-    column."""
+    """Read the moves of a shipped protocol or a CSV file. Raises InputError that names file, line
+    and column."""
     path = resources.find(name_or_path, PROTOCOLS, ".csv")
     try:
         lines = [

@@ -244,7 +244,7 @@ class Recorder(Observer):
             self.folder.rmdir()
 
     def _open(self) -> TextIO:
-        """The new log; that it did not exist before makes the folder this recorder's own."""
+        """Create the log. An existing log is an error, so the folder belongs to this recorder."""
         try:
             (self.folder / FRAMES).mkdir(parents=True, exist_ok=True)
             return (self.folder / LOG).open("x", encoding="utf-8")
@@ -278,7 +278,8 @@ class Recorder(Observer):
             _logger.warning("%s: the recording was stopped: %s", self.folder, self.problem)
 
     def _write_loop(self) -> None:
-        """The background thread: images first, then the line that names them."""
+        """Write queued cycles in the background thread: images first, then the line that names
+        them."""
         while not self.problem and (item := self._queue.get()) is not None:
             try:
                 line, images = item

@@ -38,8 +38,8 @@ class Tape:
         self._now: tuple[Image, ...] = ()
 
     def read(self, camera: int) -> Image:
-        """The next image of one camera; the first camera's turn begins a cycle. Raises DeviceError
-        as it happened then."""
+        """Return the next image of one camera. The first camera starts a cycle. Raises the recorded
+        DeviceError."""
         image = next(self._references[camera], None)
         if image is not None:
             return image
@@ -84,7 +84,7 @@ class ReplayClock:
         """Do nothing: only the recording advances."""
 
     def wait_until(self, time: float) -> None:
-        """No waiting: a replay is as fast as it can be."""
+        """Return at once: a replay runs as fast as possible."""
 
 
 class ReplayCamera:
@@ -149,10 +149,10 @@ class ReplayValve:
         return recording.valves(self._tape.cycle)[self._finger]
 
     def open(self, supply_gauge: float) -> None:
-        """It was opened then."""
+        """Ignore the command: the recording fixes the valve's state."""
 
     def close(self) -> None:
-        """It was closed then."""
+        """Ignore the command: the recording fixes the valve's state."""
 
     def regulate_pressure(self, gauge_pressure: float | None) -> None:
         """Do nothing: the valve followed the recorded command."""
@@ -207,7 +207,7 @@ def _require_replayable(recording: Recording, folder: str) -> None:
 
 
 def build(request: RigRequest) -> Rig:
-    """The backend "replay" of `mjtactile.rig.registry`."""
+    """Build the rig of the backend "replay" of `mjtactile.rig.registry`."""
     asked = request.scenario.sensor
     return build_replay_rig(request.argument, None if asked == Scenario().sensor else asked)
 

@@ -56,7 +56,7 @@ def plot_section(
 
 
 def _flat(points: Array, way: Array) -> Array:
-    """(n, 2) m along the section, and up."""
+    """Project points to the section plane: (n, 2), m, along the section and up."""
     return np.column_stack([points[:, :2] @ way, points[:, 2]])
 
 

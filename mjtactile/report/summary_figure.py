@@ -139,7 +139,7 @@ def _title(summary: Mapping[str, Any]) -> str:
 
 
 def _plot_estimate(axes: Any, touch: Touch, name: str) -> None:
-    """Write the estimated force as text; synthetic touch has neither an image nor a surface."""
+    """Write the estimated force as text. Synthetic touch has neither an image nor a surface."""
     axes.set_axis_off()
     force = f"{touch.force_normal:.2f} ± {touch.force_normal_sd:.2f} N"
     text = f"{name}: synthetic touch\nnormal force {force}"
@@ -226,7 +226,7 @@ def arrow_unit(touch: Sequence[Touch]) -> float:
 
 
 def _tractions(touch: Touch) -> Array:
-    """Force per area (ny, nx, 3) Pa at the nodes in contact, zero elsewhere."""
+    """Return the force per area (ny, nx, 3), Pa, at the nodes in contact; zero elsewhere."""
     traction = touch.traction
     contact = touch.contact
     if traction is None or contact is None or not touch.touching or not traction.force.size:
@@ -296,7 +296,7 @@ def _plot_forces(axes: Any, recording: Recording, snapshot: CycleLike | None) ->
 
 
 def _plot_break_force(axes: Any, force: Any, top: float) -> float:
-    """Plot the break force, or a note if it is too high; return the upper limit."""
+    """Plot the break force, or a note if it is too high. Return the upper limit."""
     if not isinstance(force, (int, float)) or not np.isfinite(force):
         return top
     if force > 2.5 * top:

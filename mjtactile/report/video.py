@@ -142,7 +142,7 @@ class _VideoWriter:
         return (_SCENE if self._views else 0) + _CAMERA * self._recording.width
 
     def frame(self, time: float) -> Pixels:
-        """BGR pixels at `time` s, which never goes back."""
+        """Render the BGR pixels at `time`, s. The time must not decrease between calls."""
         row = max(bisect.bisect_right(self._time, time + 1e-9) - 1, 0)
         images: tuple[Image, ...] = ()
         while self._next and (not self._shown or self._next[0].time <= time + 1e-9):
@@ -178,7 +178,7 @@ class _VideoWriter:
         return canvas
 
     def _view_at(self, time: float) -> SceneCamera | None:
-        """The scene that was kept then, if one was."""
+        """Return the stored scene at this time, or None."""
         index = max(bisect.bisect_right(self._view_times, time + 1e-9) - 1, 0)
         if not self._views or abs(self._view_times[index] - time) > _SAME:
             return None

@@ -65,7 +65,7 @@ class Writer:
             self._path.unlink(missing_ok=True)
 
     def _paletted(self) -> Iterator[Any]:
-        """Frames in 256 colours chosen for all of them."""
+        """Yield the frames with one common palette of 64 colors."""
         if not self._frames:
             return
         graph = self._av.filter.Graph()

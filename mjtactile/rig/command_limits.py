@@ -18,7 +18,7 @@ class CommandLimits:
     `opening`, m, is (minimum, maximum), with `speed` of the opening, m/s. `force` of the servo is
     in N. `lift`, m, is (minimum, maximum), with `lift_speed`, m/s. `pressure` in the chambers, Pa
     above ambient, is (minimum, maximum). None: no controlled valve, or no pressure sensor.
-    `pressure_rate` is in Pa/s; the change per period is at most `PRESSURE_STEP`.
+    `pressure_rate` is in Pa/s. The change per period is at most `PRESSURE_STEP`.
     """
 
     opening: tuple[float, float] = (0.0, 0.12)

@@ -137,7 +137,7 @@ SECTIONS: dict[str, tuple[Number, ...]] = {
     CAMERA: tuple(entries(CameraFaults).values()),
     "rig": tuple(entries(RigChange).values()),
 }
-"""Parameters that can be randomized; those of `sensor`, `gas` and `camera` are sampled per
+"""Parameters that can be randomized. Those of `sensor`, `gas` and `camera` are sampled per
 finger."""
 _OF_FINGERS = ("sensor", "gas", CAMERA)
 
@@ -157,7 +157,7 @@ class Spread:
     choices: tuple[float, ...] = ()
 
     def at(self, fraction: float) -> float:
-        """The value below which this `fraction`, 0 to 1, of all lies."""
+        """Return the quantile at `fraction`, 0 to 1."""
         if self.choices:
             return self.choices[min(int(fraction * len(self.choices)), len(self.choices) - 1)]
         if self.mean is None:
@@ -229,8 +229,8 @@ def load_variation(name_or_path: str | Path) -> Randomization:
 def sample_world(
     randomization: str | Path, seed: int, design: SensorDesign, file: SimRigFile
 ) -> SampledWorld:
-    """The world of `seed` for the rig of `file` with `design` on its fingers; `randomization` as in
-    `load_variation`."""
+    """Sample the world of `seed` for the rig of `file` with `design` on its fingers.
+    `randomization` is as in `load_variation`."""
     return load_variation(randomization).sample(
         seed, fingers=[finger.name for finger in file.fingers], markers=design.markers.count
     )

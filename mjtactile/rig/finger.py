@@ -169,8 +169,8 @@ def make_fingers(
     valves: tuple[Valve, ...] = (),
     calibrations: tuple[Calibration | None, ...] = (),
 ) -> tuple[Finger, ...]:
-    """Fingers from their parts, all in the same order; no valves, or one for each, and so with
-    calibrations."""
+    """Create fingers from their parts, all in the same order. Valves and calibrations are one per
+    finger, or none."""
     empty = (None,) * len(names)
     parts = zip(names, designs, cameras, valves or empty, calibrations or empty, strict=True)
     return tuple(Finger(*part) for part in parts)

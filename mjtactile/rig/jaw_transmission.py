@@ -37,7 +37,7 @@ class JawLaw:
     table: tuple[tuple[float, float], ...] = ()
 
     def part(self, coordinate: float) -> float:
-        """The part of the opening, m, at a coordinate."""
+        """Return the jaw's part of the opening, m, at a coordinate."""
         if self.kind == TABLE:
             a, x = zip(*self.table, strict=True)
             return float(np.interp(coordinate, a, x))
@@ -47,7 +47,7 @@ class JawLaw:
         return self.offset + self.ratio * coordinate
 
     def coordinate(self, part: float) -> float:
-        """The coordinate for a part of the opening; the nearest that the law reaches."""
+        """Return the coordinate for a part of the opening, m, or the nearest reachable one."""
         if self.kind == TABLE:
             a, x = zip(*sorted(self.table, key=lambda pair: pair[1]), strict=True)
             return float(np.interp(part, x, a))
@@ -55,8 +55,7 @@ class JawLaw:
         return math.asin(max(-1.0, min(1.0, coordinate))) if self.kind == CRANK else coordinate
 
     def slope(self, coordinate: float) -> float:
-        """dx/da at a coordinate; never below a hundredth of its size, where a crank is at its
-        end."""
+        """Return dx/da at a coordinate. A crank near its end has at least 1 % of `ratio`."""
         if self.kind == LINEAR:
             return self.ratio
         if self.kind == CRANK:
@@ -80,7 +79,7 @@ class JawLaw:
 def make_law(
     kind: str, offset: float, ratio: float, table: Sequence[tuple[float, float]] = ()
 ) -> JawLaw:
-    """A law that can be inverted. Raises ValueError, in words, for one that cannot."""
+    """Create an invertible law. Raises ValueError with the reason if it is not invertible."""
     if kind != TABLE:
         if ratio == 0:
             raise ValueError("0 moves nothing")

@@ -40,7 +40,7 @@ class Gripper(Protocol):
         ...
 
     def command(self, command: Command) -> Command:
-        """Send the goals of `command`, limited to the rig's range; returns the sent command."""
+        """Send the goals of `command`, limited to the rig's range. Returns the sent command."""
         ...
 
 

@@ -97,7 +97,7 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
 def _require_built(rig: Rig, requested: Scenario) -> None:
     """Raise InputError if a finger has another sensor than the scenario names for it.
 
-    A backend of another package may ignore them; the results would then state a wrong sensor.
+    A backend of another package may ignore them. The results would then state a wrong sensor.
     """
     built = {finger.name: finger.design.name for finger in rig.fingers}
     require_fingers(requested.rig, list(built), requested.sensors)
@@ -133,8 +133,7 @@ def as_scenario(
 
 
 def require_file(request: RigRequest) -> RigFile:
-    """The devices' rig file of a request. Raises InputError where a backend that needs one was
-    named without."""
+    """Return the devices' rig file of a request. Raises InputError if there is none."""
     if not isinstance(request.file, RigFile):
         raise InputError("needs a rig file", field="--rig", choices=rig_names())
     return request.file
@@ -174,5 +173,6 @@ def _entry_points(group: str) -> dict[str, EntryPoint]:
 
 @cache
 def _installed(group: str, path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    """On `path`: every package's file is read for it, so that it is done once a process."""
+    """Return the entry points of a group, by name. The search reads a file of every package, so its
+    result is stored per `path`."""
     return {point.name: point for point in entry_points(group=group)}

@@ -14,8 +14,8 @@ from mjtactile.rig.gripper_calibration import gripper_state
 
 
 def finger_design(finger: CameraConfig, default: SensorDesign) -> SensorDesign:
-    """The sensor of a finger: that of its own sensor file, else `default`. Raises InputError for a
-    file that is wrong."""
+    """Return the sensor of a finger: its own file's, else `default`. Raises InputError for an
+    invalid file."""
     return default if finger.sensor is None else load_sensor(finger.sensor)
 
 

@@ -52,7 +52,7 @@ def run_loop(
 
     The caller closes the rig. `perceptions` are the sensing pipelines of its fingers, with
     references taken. The `observer` is called in every cycle with `on_images`, then `add`.
-    `threads` is the number of perception threads in addition to the loop (None: automatic); `pool`
+    `threads` is the number of perception threads in addition to the loop (None: automatic). `pool`
     are perception processes in their place.
 
     Returns the last command sent. Raises ControllerError; DeviceError, also after a fault brought
@@ -147,7 +147,7 @@ def _has_landed(cycle: ControlCycle) -> bool:
 
 
 def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) -> None:
-    """One cycle from the images to the command that was sent. The world moves on meanwhile."""
+    """Run one cycle, from the images to the sent command, while the world continues to move."""
     before = cycle.last
     cycle.read_sensors()
     cycle.rig.clock.advance_towards(deadline)

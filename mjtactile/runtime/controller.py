@@ -42,7 +42,7 @@ READABLE = ("contact_shape",)
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller file and its `step` function; a call checks the returned command.
+    """A controller file and its `step` function. A call checks the returned command.
 
     `reads` are the entries of READABLE that it needs.
     """
@@ -101,7 +101,7 @@ class ControllerThread:
     def step(self, observation: Observation) -> Command:
         """Return the controller's command after checks of its values.
 
-        Raises the controller's own error. Raises ControllerError on a timeout; the controller must
+        Raises the controller's own error. Raises ControllerError on a timeout. The controller must
         not be called again then.
         """
         self._questions.put(observation)
@@ -115,7 +115,7 @@ class ControllerThread:
         return answer
 
     def _answer(self) -> Command | BaseException:
-        """Return the controller's command or error; raises queue.Empty after the time limit.
+        """Return the controller's command or error. Raises queue.Empty after the time limit.
 
         If the whole process was suspended, the limit may expire before the controller could
         continue. So the call waits a second, short time.
@@ -149,7 +149,7 @@ class ControllerThread:
 
 
 def _line(path: Path, stack: traceback.StackSummary) -> str | None:
-    """ "line 7": the innermost line of the file `path` in a stack."""
+    """Return the innermost line of the file `path` in a stack, as "line 7", or None."""
     with contextlib.suppress(OSError):  # a path that cannot be resolved any more
         for frame in reversed(stack):
             if Path(frame.filename).resolve() == path.resolve():

@@ -101,7 +101,7 @@ class ControlCycle:
         return cls(rig, perceptions, supervisor, observer, last, now, set_down=set_down)
 
     def read_sensors(self) -> None:
-        """Read the newest images and the valve states; a simulated world is paused meanwhile."""
+        """Read the newest images and the valve states. A simulated world is paused meanwhile."""
         start = wall.perf_counter()
         self._blind = self._take_images()
         self._seen = wall.perf_counter()

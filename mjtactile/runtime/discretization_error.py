@@ -86,7 +86,7 @@ class GraspEstimate:
         self._state: tuple[Array, Array, float] | None = None
 
     def keep(self) -> None:
-        """Store the current pose of object and gripper; call while the object is held."""
+        """Store the current pose of object and gripper. Call while the object is held."""
         joint = self._object_joint(self._world)
         qpos = np.array(self._world.data.qpos[joint : joint + 7])
         self._state = qpos, np.array([self._world.lift_height]), self._world.opening
@@ -149,6 +149,6 @@ class GraspEstimate:
 
     @staticmethod
     def _object_joint(world: GraspWorld) -> int:
-        """Address of the object's free joint in qpos."""
+        """Return the address of the object's free joint in qpos."""
         body = world.model.body("object/object")
         return int(world.model.jnt_qposadr[body.jntadr[0]])

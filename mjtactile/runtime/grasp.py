@@ -51,7 +51,7 @@ class GraspResult:
     force_error_estimate: float | None = None
     reason: str = ""
     peak_stress_true: float = math.nan
-    """Von Mises stress of a soft object, Pa; `peak_energy_true` is in J/m^3."""
+    """Von Mises stress of a soft object, Pa. `peak_energy_true` is in J/m^3."""
     peak_energy_true: float = math.nan
     left_out: tuple[str, ...] = ()
     """Parts disabled by `--effects`: "mesh" (a quasi-static membrane replaced it), "pipeline"
@@ -73,7 +73,7 @@ class GraspResult:
     """Fault of a device during the run, for an object that was set down early; "": none."""
 
     def summary(self) -> dict[str, Any]:
-        """Return the JSON object of `mjtactile grasp --json`; unknown values are NaN, and null in
+        """Return the JSON object of `mjtactile grasp --json`. Unknown values are NaN, and null in
         JSON."""
         found = {
             "outcome": self.outcome,
@@ -219,7 +219,7 @@ def run_grasp(
     """Run one grasp, with `controller` in place of the scenario's if given.
 
     `workers` is the number of perception processes in simulation, or threads on a real rig (None:
-    automatic); it does not change the result. With `error_estimate` the simulation is repeated on a
+    automatic). It does not change the result. With `error_estimate` the simulation is repeated on a
     coarser mesh to estimate the force error.
 
     Raises InputError for an invalid file or name, ControllerError, DeviceError (the rig is brought

@@ -70,15 +70,15 @@ class GraspScore:
         self._gripper_start = ground_truth.gripper_position(self.world)[2]
 
     def start_cycle(self) -> None:
-        """Images were taken: from now on the phase counts that was sent for."""
+        """Start a cycle after its images were taken: the phase sent last now applies."""
         self.phase = self._next_phase
 
     def send(self, phase: str) -> None:
-        """A command of this phase was sent: it counts from the next images on."""
+        """Store the phase of a sent command. It applies from the next images on."""
         self._next_phase = phase
 
     def snapshot(self, with_view: bool = True) -> None:
-        """Store the ground truth at the time of the images; the world must be paused.
+        """Store the ground truth at the time of the images. The world must be paused.
 
         Storing its view as well costs a tenth of a cycle without images.
         """
@@ -172,7 +172,7 @@ class GraspScore:
         )
 
     def forces(self) -> list[float]:
-        """Normal force of the object on each membrane, N, positive when pressing."""
+        """Return the normal force of the object on each membrane, N, positive in compression."""
         return (-ground_truth.contact_loads(self.world, self.world.sensors)[:, 2]).tolist()
 
     def _object_position(self) -> Array:

@@ -67,7 +67,7 @@ def _contact(perception: Any, load: list[Touch], held: Touch | None) -> dict[str
 
 def _report(shape: ContactShape, held: Touch, s: ContactShapeSettings) -> dict[str, Any]:
     """Return kind, probability, misfit, principal curvatures, 1/m, with their sd, and area, mm^2,
-    with its 68 % interval; unknown values are NaN. The area of a shape that does not explain the
+    with its 68 % interval. Unknown values are NaN. The area of a shape that does not explain the
     image is that of the traction. A contact over few cells of a coarse simulated mesh does not
     resolve the kind: an egg touches at so few vertices that it resembles a small disc."""
     is_resolved = s.mesh_ratio == 1 or not shape.area < _CELLS * s.mesh_spacing**2

@@ -106,7 +106,8 @@ class PerceptionPool:
         )
 
     def _take_states(self) -> None:
-        """Those of a process that does not answer any more stay in the states that it began in."""
+        """Retrieve the final states from the processes. Without an answer, initial states
+        remain."""
         with contextlib.suppress(DeviceError):
             for worker, part in self._parts(self._perceptions):
                 worker.start("give")

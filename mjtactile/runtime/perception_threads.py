@@ -137,7 +137,7 @@ class Perceivers:
 def with_readings(
     images: Sequence[Image], readings: Sequence[PressureReading | None]
 ) -> list[tuple[Image, PressureReading | None]]:
-    """Each image with its gauge's reading, None where there are none."""
+    """Pair each image with its pressure reading, or None without readings."""
     return list(zip(images, readings or (None,) * len(images), strict=True))
 
 

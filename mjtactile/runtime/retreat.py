@@ -118,7 +118,7 @@ class Retreat:
         return is_free or (opening is not None and opening >= goal - _OPEN_SLACK)
 
     def _force(self, last: Command) -> float | None:
-        """Enough to open with, once the goal no longer closes the jaws."""
+        """Return the force limit, N, at least RETREAT_FORCE once the goal opens the jaws."""
         if self._measured is None or last.opening < self._measured:
             return last.force_limit
         return max(last.force_limit or 0.0, RETREAT_FORCE)

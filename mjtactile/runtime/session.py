@@ -319,7 +319,7 @@ def open_session(
 def _for_simulation(
     settings: Settings, design: SensorDesign, simulated: Mapping[str, Any]
 ) -> Settings:
-    """Return the settings of a finger's pipeline; a simulated mesh has larger model errors."""
+    """Return the settings of a finger's pipeline. A simulated mesh has larger model errors."""
     effects = simulated.get("effects", ())
     if not any(effect.get("effect") == "mesh" and effect.get("on") for effect in effects):
         return settings
@@ -328,8 +328,8 @@ def _for_simulation(
 
 
 def _start_pool(rig: Rig, workers: int | None) -> PerceptionPool | None:
-    """Processes for a simulated rig's fingers; they start while the references are taken. None: no
-    use, or no room, for them."""
+    """Start processes for a simulated rig's fingers. Their start overlaps the references. None:
+    they bring no gain or cannot start."""
     if rig.scene is None or rig.touch_is_synthetic:
         return None
     fingers = len(rig.fingers)

@@ -48,7 +48,7 @@ class SlownessMonitor(Observer):
         self._load = self._ask()
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
-        """Add the times of a cycle; send a message at the end of a slow window."""
+        """Add the times of a cycle. Send a message at the end of a slow window."""
         load = self._load
         now = self._now()
         if self._start is None:

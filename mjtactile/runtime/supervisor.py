@@ -108,7 +108,8 @@ class Supervisor:
             self._enter("safe", reason, now)
 
     def want_safe(self, reason: str) -> None:
-        """The same from the next `decide` on; for other threads, such as a person's red button."""
+        """Request the retreat at the next `decide`, from another thread such as an emergency
+        stop."""
         self._safe_requested = reason
 
     def latch(self, reason: str, now: float, unverified: str = "") -> None:
@@ -143,7 +144,7 @@ class Supervisor:
         )
 
     def _go_back(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
-        """The next command of the retreat; latch when it is over."""
+        """Return the next command of the retreat, and latch at its end."""
         if self.state == "latched":
             return last
         command = self._retreat.next(last, touch, self._opening, self._height)

@@ -52,7 +52,7 @@ class TaskScorer:
     set_down_impact: float = math.nan
     """Impulse on the object during its placement, beyond its weight, N s."""
     released_at: float = math.nan
-    """Time of release after the lift, s; a single finger in contact does not hold an object."""
+    """Time of release after the lift, s. A single finger in contact does not hold an object."""
     torn: bool = False
     """It slid out of a grip that was not opened."""
     second_fell: bool = False

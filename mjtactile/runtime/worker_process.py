@@ -69,7 +69,7 @@ class WorkerProcess:
             raise self._ended() from error
 
     def outcome(self, timeout: float) -> tuple[Any, ...] | None:
-        """The answer; None if there was none within `timeout` s."""
+        """Return the answer; None if there is none within `timeout`, s."""
         if self._is_late:
             return None
         try:
@@ -117,14 +117,14 @@ class Channel:
 
     @classmethod
     def of(cls, descriptors: str) -> Channel:
-        """The end that a process was started with."""
+        """Open the channel end whose descriptors this process received at its start."""
         end, file = map(int, descriptors.split(","))
         given = mmap.mmap(file, _ROOM, access=mmap.ACCESS_READ)
         os.close(file)
         return cls(socket.socket(fileno=end), given=given)
 
     def send(self, *value: Any) -> None:
-        """Raises OSError, also when the other end does not take it."""
+        """Send values. Raises OSError, also if the other end does not receive them in time."""
         buffers: list[pickle.PickleBuffer] = []
         pickled = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
         arrays = [buffer.raw() for buffer in buffers]

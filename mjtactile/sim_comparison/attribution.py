@@ -105,7 +105,7 @@ class _Rows:
         return cls(signals[0].time, signals[0].fingers, known, weight)
 
     def vector(self, signals: Signals, finger: int | None = None) -> Array:
-        """All rows; with a `finger` those of the others are zero."""
+        """Return all rows. With a `finger`, those of the others are zero."""
         parts = []
         for kind in KINDS:
             values = np.where(self.known[kind], signals.of(kind), 0.0) * self.weight[kind]
@@ -276,7 +276,7 @@ def _amounts(best: TestedParameter, allowed: Mapping[str, float]) -> dict[str, S
 
 
 def _shift(plain: Signals, time: Array) -> tuple[Signals, Signals]:
-    """The simulation a little later and a little earlier: clocks differ by a frame or two."""
+    """Return the simulation one sample later and one earlier, to detect a clock offset."""
     step = float(np.median(np.diff(plain.time)))
     return plain.at(time + step), plain.at(time - step)
 

@@ -41,7 +41,7 @@ def verdict(shadow: SimComparison) -> str:
 
 
 def parting(shadow: SimComparison) -> list[str]:
-    """The kinds that are farther apart than their tolerances."""
+    """Return the kinds of signals whose difference exceeds its tolerance."""
     return [
         kind
         for kind in KINDS
@@ -50,7 +50,7 @@ def parting(shadow: SimComparison) -> list[str]:
 
 
 def notify(one: TestedParameter, fingers: Sequence[str] = ()) -> str:
-    """A cause with its amount: of a sensor, that of each finger where they differ."""
+    """Describe a cause with its amount, per finger for a sensor if the amounts differ."""
     amounts = one.amounts
     largest = max(range(len(amounts)), key=lambda k: abs(amounts[k]))
     if one.cause.on != "sensor" or not fingers or len(fingers) < 2:
@@ -64,7 +64,7 @@ def notify(one: TestedParameter, fingers: Sequence[str] = ()) -> str:
 
 
 def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
-    """The result as JSON has it."""
+    """Return the result for JSON."""
 
     def rms(found: Any) -> dict[str, Any]:
         units = {kind: UNIT[kind] for kind in KINDS if kind in found}
@@ -98,7 +98,7 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
 
 
 def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
-    """The page."""
+    """Return the HTML page of a comparison."""
     body = [f"<h1>{escape(title)}</h1>", f"<p><b>{escape(verdict(shadow))}</b></p>"]
     if shadow.named is not None:
         body.append(f"<p>{escape(notify(shadow.named, fingers))}</p>")
@@ -158,7 +158,7 @@ _CAPTIONS = {
 
 
 def _chart(kind: str, shadow: SimComparison, finger: int) -> str:
-    """One kind over time, as SVG."""
+    """Plot one kind of signal over time, as SVG."""
     there = shadow.recorded
     curves = {"recorded": _curve(kind, there, there, finger)}
     curves["simulated"] = _curve(kind, shadow.simulated, there, finger)

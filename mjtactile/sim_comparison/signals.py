@@ -51,7 +51,7 @@ class Signals:
         return Signals(time, self.force[index], self.markers[index], self.pressure[index])
 
     def of(self, kind: str) -> Array:
-        """One kind of them, (t, f, ...)."""
+        """Return the signals of one kind, (t, f, ...)."""
         return getattr(self, kind)
 
 
@@ -63,7 +63,7 @@ class CollectedSignals:
         self._rows: list[tuple[float, Array, Array, Array]] = []
 
     def add(self, time: float, touches: Sequence[Touch], pressures: Sequence[float | None]) -> None:
-        """One cycle."""
+        """Append one cycle."""
         force = np.full((len(self._counts), 3), np.nan)
         markers = np.full((len(self._counts), max(self._counts), 3), np.nan)
         for k, touch in enumerate(touches):
@@ -76,7 +76,7 @@ class CollectedSignals:
         self._rows.append((time, force, markers, np.array(gauge)))
 
     def signals(self) -> Signals:
-        """All of them, in time from the first."""
+        """Return all signals. The time, s, starts at zero."""
         time, force, markers, pressure = (np.array(part) for part in zip(*self._rows, strict=True))
         return Signals(time - time[0], force, markers, pressure)
 
@@ -109,7 +109,7 @@ def recorded(episode: RecordedEpisode) -> Signals:
 
 
 def differences(recorded: Signals, simulated: Signals) -> dict[str, Array]:
-    """rms difference (f,) of each kind, in SI units; NaN where one of them is unknown."""
+    """Return the RMS difference (f,) of each kind, SI; NaN where one of the two is unknown."""
     found = {}
     for kind in KINDS:
         difference = recorded.of(kind) - simulated.of(kind)

@@ -27,7 +27,7 @@ class WindowLayout:
         self._when = int(imgui.Cond.Once)
 
     def start(self, size: Any) -> None:
-        """`size` px of the page."""
+        """Set the page's size, px, for the next frame."""
         changed = (size.x, size.y) != self._size
         self._size = (size.x, size.y)
         self._when = int(imgui.Cond.Always if changed else imgui.Cond.Once)

@@ -73,7 +73,7 @@ def launch(
     """Serve Studio in a thread on loopback, like `mujoco.studio.launch_web.launch`; return
     immediately.
 
-    Use the result as a context manager; call its `sync(model, data)` after each of your steps.
+    Use the result as a context manager. Call its `sync(model, data)` after each of your steps.
     """
     config = viewer_protocol.ViewerConfig(gfx="web") if config is None else config
     viewers, sims = plugin.split_plugins(plugins)

@@ -48,7 +48,7 @@ class SnapshotSource(Protocol):
 def ellipses_of(estimated: FingerSnapshot) -> Ellipses:
     """Return the ellipses of a finger's image with the status of each.
 
-    Tracked ellipses are used if sensing tracked all of them; else they are detected again.
+    Tracked ellipses are used if sensing tracked all of them. Else they are detected again.
     """
     ellipses = followed(estimated.image, estimated.tracks)
     return find_ellipses(estimated.image) if ellipses is None else ellipses
@@ -137,7 +137,7 @@ class Panel(plugin.ViewerPlugin):
         return tuple(placed)
 
     def _make_figures(self, fingers: Sequence[FingerSnapshot]) -> None:
-        """Each camera's image with its ellipses, and each membrane."""
+        """Render each camera's image with its ellipses, and each membrane."""
         kind = "indentation" if self.options.surface == "none" else self.options.surface
         fields = [surface_colormap.field_of(estimated, kind) for estimated in fingers]
         scale = surface_colormap.scale_of(fields)

@@ -71,7 +71,7 @@ def _line(name: str, time: Array, values: Array) -> None:
 
 
 def _bands(curves: Curves) -> None:
-    """Plot phases as bands behind the curves; interventions of the supervisor are red."""
+    """Plot phases as bands behind the curves. Interventions of the supervisor are red."""
     implot.SetupFinish()
     corner = implot.GetPlotPos()
     size = implot.GetPlotSize()

@@ -52,7 +52,7 @@ class GeomPool:
         self.geoms = []
 
     def triangles(self, corners: Array, rgb: Array) -> None:
-        """`corners` (m, 3, 3) m in W, `rgb` (m, 3) from 0 to 1."""
+        """Add triangles with `corners` (m, 3, 3), m, in W and colors `rgb` (m, 3), 0 to 1."""
         along = corners[:, 1] - corners[:, 0]
         aside = corners[:, 2] - corners[:, 0]
         normal = np.cross(along, aside)
@@ -69,7 +69,7 @@ class GeomPool:
     def connect(
         self, kind: mujoco.mjtGeom, width: float, start: Array, end: Array, rgba: Sequence[float]
     ) -> None:
-        """An arrow (`width` m) or a line (`width` px) between two points, m in W."""
+        """Add an arrow (`width` in m) or a line (`width` in px) between two points, m, in W."""
         geom = self._next(kind)
         mujoco.mjv_connector(geom, int(kind), width, start, end)
         geom.rgba = np.array(rgba, dtype=np.float32)
@@ -182,7 +182,7 @@ def _outline(brush: GeomPool, estimated: FingerSnapshot, pose: Pose, outline: Ar
 
 
 def _line(brush: GeomPool, points: Array) -> None:
-    """Render a line of the estimated shape; the ground truth is in the scene."""
+    """Render a line of the estimated shape. The ground truth is in the scene."""
     every = -(-len(points) // _OUTLINE)
     points = np.concatenate([points[:-1:every], points[-1:]])
     for a, b in zip(points[:-1], points[1:], strict=True):

@@ -129,7 +129,7 @@ def _wait_for_page(bridge: SessionBridge) -> None:
 
 
 def _run(bridge: SessionBridge) -> None:
-    """Run one grasp and show its errors; raise them if there was no image yet."""
+    """Run one grasp and show its errors. Raise them if there was no image yet."""
     before = bridge.runs
     try:
         # no time limit, because manual control may take any time

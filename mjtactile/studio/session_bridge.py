@@ -84,7 +84,7 @@ class SessionBridge(Observer):
     # called by the session's thread
 
     def start(self, session: Session) -> None:
-        """A session begins."""
+        """Start a session, and reset the state of the previous one."""
         self.session = session
         self.latest = None
         self.outcome = ""
@@ -167,13 +167,13 @@ class SessionBridge(Observer):
         self._tasks.put(task)
 
     def step(self) -> None:
-        """One cycle more, and pause."""
+        """Run one more cycle, then pause."""
         self.paused = True
         self._single = True
 
     @property
     def may_pause(self) -> bool:
-        """A simulated world waits; a real one's devices would take the loop for dead."""
+        """A simulated world waits. Real devices would treat the loop as stopped."""
         return self.session is None or not math.isfinite(self.session.rig.host_timeout)
 
     @property

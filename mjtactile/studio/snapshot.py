@@ -27,7 +27,7 @@ class Pose:
     R_WS: Array
 
     def place(self, p_S: Array) -> Array:
-        """Points (..., 3) m in S, in W."""
+        """Transform points (..., 3), m, from S to W."""
         return self.p_WS + p_S @ self.R_WS.T
 
 
@@ -108,7 +108,7 @@ def finger_lines(estimated: FingerSnapshot, perception_ms: float = math.nan) -> 
 
 
 def _shear_sd(touch: Touch) -> float:
-    """Standard deviation of the shear's size, N: that along it."""
+    """Return the standard deviation of the shear force along its direction, N."""
     if touch.traction is None:
         return math.nan
     along = touch.traction.wrench[:2] / max(float(np.hypot(*touch.traction.wrench[:2])), 1e-12)

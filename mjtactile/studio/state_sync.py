@@ -85,7 +85,7 @@ class StateSync(plugin.SimPlugin):
         self._pulled = 0.0
 
     def follow(self) -> bool:
-        """Publish the session's model if it is new; return True if there is a new snapshot to show.
+        """Publish the session's model if it is new. Return True if there is a new snapshot to show.
 
         Call it in the loop around `sync`. Studio does not step without a model.
         """
@@ -104,7 +104,7 @@ class StateSync(plugin.SimPlugin):
 
     @messages.handler(priority=messages.Priority.USER)
     def on_load(self, _: messages.LoadModelEvent) -> bool:
-        """A model that is dropped on the page, or "Reload": the scene is the session's."""
+        """Reject a model dropped on the page, and "Reload": the scene belongs to the session."""
         self.complain('the scene belongs to the session: choose an object under "another run"')
         return True
 

@@ -81,7 +81,7 @@ def centre_of_pressure(touch: Touch) -> Array | None:
 
 
 def at(field: Field, x: Array, y: Array) -> Array:
-    """The field at other nodes, (len(y), len(x)) float32, linear between its own."""
+    """Interpolate the field linearly at other nodes, (len(y), len(x)), float32."""
     columns = np.interp(x, field.x, np.arange(len(field.x)), left=0.0)
     rows = np.interp(y, field.y, np.arange(len(field.y)), left=0.0)
     over_x, over_y = np.meshgrid(columns.astype(np.float32), rows.astype(np.float32))
@@ -91,7 +91,7 @@ def at(field: Field, x: Array, y: Array) -> Array:
 
 
 def colours(values: Array, scale: float) -> NDArray[np.uint8]:
-    """Red, green, blue (..., 3)."""
+    """Map values, 0 to `scale`, to red, green and blue (..., 3)."""
     if not values.size:
         return np.zeros((*values.shape, 3), np.uint8)
     positive = np.maximum(values, 0.0, dtype=np.float32).reshape(-1, values.shape[-1])

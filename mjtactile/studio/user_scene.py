@@ -162,7 +162,7 @@ class Sensors(plugin.SimPlugin):
         return True
 
     def _report_flags(self) -> None:
-        """Into Studio's console, each once."""
+        """Write each new flag to Studio's console."""
         flags = _flags_of(self.fingers)
         for kind in flags.keys() - self._flagged:
             logging.getLogger("mjtactile").warning("%s: %s", kind, flags[kind])

@@ -50,9 +50,9 @@ from mjtactile.warp.starts import sample_starts, with_seed
 RANDOM = "random"
 """Object name for different random objects in one batch."""
 EPISODES = 4
-"""Different initial states of each world; the fifth episode starts like the first."""
+"""Different initial states of each world. The fifth episode starts like the first."""
 _CPU_ITERATIONS = 30
-"""Iterations of MuJoCo's solver on a CPU, which always does all; a grasp needs ten."""
+"""Iterations of MuJoCo's solver on a CPU, which always does all. A grasp needs ten."""
 
 
 class Grasps:
@@ -160,7 +160,7 @@ class Grasps:
 
         Args:
             seed: Seed of the first world.
-            mask: (worlds,) bool array of Warp: start the next episode of these worlds only; `seed`
+            mask: (worlds,) bool array of Warp: start the next episode of these worlds only. `seed`
                 then has no effect.
         """
         with wp.ScopedDevice(self.device):

@@ -44,7 +44,7 @@ class Iteration:
 class Membranes:
     """`count` membranes of one sensor, each with up to `slots` geoms near it.
 
-    `geoms` (count, slots) are obstacles in each sensor's frame; a kind of -1 is an empty slot.
+    `geoms` (count, slots) are obstacles in each sensor's frame. A kind of -1 is an empty slot.
     `fields` holds state and results. `modulus` (count,) scales the shear modulus times thickness.
     """
 
@@ -65,7 +65,7 @@ class Membranes:
             sensor: The sensor's design, or a shipped name.
             count: Number of membranes.
             slots: Number of geoms that may be near one membrane.
-            grid: Number of nodes along x and y; the product is at most MAX_NODES.
+            grid: Number of nodes along x and y. The product is at most MAX_NODES.
             device: Warp device, such as "cpu" or "cuda:0"; None: Warp's default.
             iteration: Iteration of a solution; None: the default.
             planes: Planes (n, 4) of convex geoms: outward normal and distance, m.

@@ -178,7 +178,7 @@ def _meshes(model: mujoco.MjModel, mix: Sequence[MixedObject], found: Sequence[A
 
 
 def poses_of(mix: Sequence[MixedObject], bodies: Sequence[str]) -> Array:
-    """Return the poses (K, bodies, 7) in the files of the objects; absent bodies are at 0."""
+    """Return the poses (K, bodies, 7) in the files of the objects. Absent bodies are at 0."""
     poses = np.zeros((len(mix), len(bodies), 7))
     poses[:, :, 3] = 1.0
     for k, item in enumerate(mix):

@@ -161,7 +161,7 @@ def sample_starts(
 
 
 def _events(tasks: Sequence[SampledTask], axes: Array) -> Array:
-    """Return the disturbances of each world as rows; their directions are along `axes` in W."""
+    """Return the disturbances of each world as rows. Their directions are along `axes` in W."""
     table = np.zeros((len(tasks), max(1, *(len(one.events) for one in tasks)), COLUMNS))
     table[:, :, 0], table[:, :, 2] = -1, 1
     for rows, task in zip(table, tasks, strict=True):

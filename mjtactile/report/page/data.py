@@ -118,7 +118,7 @@ def _nearest(moments: Sequence[Any], time: float) -> int:
 
 
 def height_unit(low: float, high: float) -> float:
-    """mm of one step of the 16 bits that a height has."""
+    """Return the height of one step of the 16-bit encoding, mm."""
     return 1e3 * max(abs(low), abs(high), 1e-4) / 32000
 
 

@@ -52,7 +52,7 @@ def evaluate(
     scale: float,
     has_thin: bool,
 ) -> wp.vec2:
-    """Evaluate forces, links and obstacles at all nodes; return volume and minimum area ratio."""
+    """Evaluate forces, links and obstacles at all nodes. Return volume and minimum area ratio."""
     volume = float(0.0)
     min_area_ratio = float(1.0e3)
     count = membrane.nx * membrane.ny

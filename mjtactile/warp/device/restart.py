@@ -113,7 +113,7 @@ class Scene:
 
 @wp.struct
 class Poses:
-    """Poses in MuJoCo Warp's data; it computes those of geoms that are fixed to the world once."""
+    """Poses in MuJoCo Warp's data. It computes those of geoms that are fixed to the world once."""
 
     xpos: wp.array2d(dtype=wp.vec3)
     xquat: wp.array2d(dtype=wp.quat)

@@ -25,7 +25,7 @@ class Sticking:
 
     `compliance` (2 I, 2 I) m/N holds x and y of each inner node in turn. `loads`, `residual`,
     `direction` and `moved` are (F, 2 I). `held` (F, I) are the inner nodes in contact, `count` is
-    their number. `known` (F, I) is the patch of each inner node at the last stiffness, plus one;
+    their number. `known` (F, I) is the patch of each inner node at the last stiffness, plus one.
     `stale` is 1 if the stiffness must be computed again.
     """
 
