@@ -55,7 +55,7 @@ class ConstitutiveLaw:
         return np.stack([self._q, self._slope])
 
     def stress(self, C11: Array, C22: Array, C12: Array) -> Array:
-        """Second Piola-Kirchhoff stress (3, ...): S11, S22, S12."""
+        """Return the second Piola-Kirchhoff stress (3, ...): S11, S22, S12."""
         if self._law is Law.STVK:
             E11 = (C11 - 1) / 2
             E22 = (C22 - 1) / 2
@@ -65,7 +65,8 @@ class ConstitutiveLaw:
         return self._mu * np.stack([1 - q * C22, 1 - q * C11, q * C12])
 
     def moduli(self, C11: Array, C22: Array, C12: Array) -> Array:
-        """dS/dE (6, ...): 1111, 2222, 1122, 1112, 2212, 1212; symmetric otherwise."""
+        """Return the tangent moduli dS/dE (6, ...): 1111, 2222, 1122, 1112, 2212, 1212; symmetric
+        otherwise."""
         if self._law is Law.STVK:
             ones = np.ones_like(C11)
             none = np.zeros_like(C11)

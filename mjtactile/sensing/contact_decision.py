@@ -59,8 +59,8 @@ class ContactDecision:
         )
 
     def traction(self, estimate: Estimate, moved: float, time: float) -> Traction:
-        """The tractions, as a measured force scale has them; `moved` Pa by which the chamber's
-        pressure has changed."""
+        """Return the tractions, scaled by a measured force scale. `moved` is the change of the
+        chamber pressure, Pa."""
         before = estimate.state.detection
         elapsed = math.inf if before is None else time - before.time
         blend = estimate.state.blend

@@ -47,14 +47,14 @@ class MarkerDetector:
         self._largest_px = _largest_px(design, camera)
 
     def detect_markers(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
-        """The markers of one image in S, and the state that expects them there; see
+        """Detect the markers of one image, in S, and update the state for the next one. See
         `SensingPipeline.detect_markers`."""
         return self._identified(state, *self._ellipses(state.tracks, image))
 
     def _identified(
         self, state: PipelineState, ellipses: Ellipses, tracks: tracking.Tracks | None
     ) -> tuple[Markers, PipelineState]:
-        """The markers of the ellipses in one image, and the state that expects them there."""
+        """Return the markers of the ellipses of one image, and the updated state."""
         if self.known is not None:
             ellipses, state = self.known.compensate(state, ellipses)
         poses = estimate_poses(ellipses, self.camera, self.design.markers.radius)

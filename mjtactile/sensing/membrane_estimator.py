@@ -194,7 +194,7 @@ class MembraneEstimator:
     def _gas_before(
         self, gas: GasState | None, rest: InverseRest, time: float, reading: PressureReading | None
     ) -> GasState | None:
-        """The gas before the image is looked at; None without a gauge."""
+        """Return the gas state before the image is evaluated; None without a pressure sensor."""
         if reading is None:
             return gas
         if gas is None:
@@ -294,7 +294,7 @@ def _gap(shape: Shape, time: float, reading: PressureReading | None) -> float:
 
 
 def without(markers: Markers, ids: Sequence[int]) -> Markers:
-    """All markers but these."""
+    """Return all markers except `ids`."""
     keep = ~np.isin(markers.ids, ids) if ids else np.ones(len(markers), bool)
     if keep.all():
         return markers

@@ -203,7 +203,7 @@ def default_mesh(design: SensorDesign) -> tuple[int, int]:
 
 @validated(timestep=within(*TIMESTEP_RANGE))
 def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str, ...]:
-    """Set the scene options required or recommended for membranes; gravity and all others stay
+    """Set the scene options required or recommended for membranes. Gravity and all others stay
     unchanged.
 
     Args:
@@ -251,7 +251,7 @@ def configure_options(spec: mujoco.MjSpec, timestep: float = 4e-3) -> tuple[str,
 
 
 def _readable(name: str, value: Any) -> str:
-    """An option's value as its user writes it."""
+    """Format an option's value as in the MJCF."""
     if name in _OPTION_NAMES:
         return _OPTION_NAMES[name].get(int(value), str(value))
     return f"{value:g} s" if name == "timestep" else f"{value:g}"

@@ -85,7 +85,7 @@ class QuasistaticStepper:
         )
 
     def is_ready(self) -> bool:
-        """Return True if all valves are closed, as required; also update the gas for leakage."""
+        """Return True if all valves are closed, as required. Also update the gas for leakage."""
         return all(sensor.hold_gas() for sensor in self._sensors)
 
     def run(self, count: int, watch_speed: bool) -> tuple[int, int, Array]:

@@ -66,7 +66,7 @@ class SimCamera:
         self._rendered: Image | None = None
 
     def reseed(self, seed: int) -> None:
-        """Set a new seed for the image noise; an image already rendered is rendered again."""
+        """Set a new seed for the image noise. An image already rendered is rendered again."""
         # one of them is there
         (self._sampler or self._renderer).reseed(seed)  # pyright: ignore[reportOptionalMemberAccess]
         self._faulty = FaultyImage(self._faulty.faults, seed)
@@ -91,7 +91,7 @@ class SimCamera:
             self._rendered = self._faulty(image)
 
     def read(self) -> Image:
-        """The image of the membrane now."""
+        """Return the current image of the membrane, or the previous one of a late camera."""
         if self._rendered is None or self._rendered.time != self._sensor.time:
             self.capture()
         image = self._rendered

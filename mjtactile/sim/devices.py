@@ -145,7 +145,7 @@ class SimValve:
         self._defer(lambda: self._follow(gauge_pressure))
 
     def move(self) -> None:
-        """One step of the world: the supply goes to the goal as through a hose."""
+        """Move the supply pressure towards its goal by one world step, with the lag of a hose."""
         if self._goal is None:
             return
         elapsed = self._sensor.time - self._moved
@@ -224,7 +224,7 @@ class SimGripper:
         return state
 
     def command(self, command: Command) -> Command:
-        """Set goals and force limit; return the command limited to the ranges of the rig's file."""
+        """Set goals and force limit. Return the command limited to the ranges of the rig's file."""
         sent = self._sent = self._limits.clip(command.completed(self._sent))
         self._clock.defer(lambda: self._arrive(sent))
         return sent
@@ -246,7 +246,7 @@ class SimGripper:
             self._apply(self._late.popleft()[1])
 
     def _apply(self, command: Command) -> None:
-        """The jaw follows the motor when the gears' play is used up."""
+        """Apply a command. The jaws follow the motor after the backlash of the gears is used up."""
         half = self._change.backlash / 2
         self._motor = self._play.motor_goal(command.opening)
         self._jaw = min(max(self._jaw, self._motor - half, 0.0), self._motor + half)

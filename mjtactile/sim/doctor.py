@@ -275,7 +275,7 @@ def _carriers(world: GripperWorld) -> Iterator[Finding]:
 
 
 def _lift(world: GripperWorld, sag: float) -> Iterator[Finding]:
-    """Up by the whole travel."""
+    """Check the lift over its whole travel."""
     lift = world.rig.lift
     if lift.kind == "none":
         yield _warn("lift", "does not exist: a grasped object stays on the table")
@@ -350,7 +350,8 @@ def _wait(world: GripperWorld, seconds: float) -> None:
 
 
 def _tips(world: GripperWorld) -> tuple[Array, Array]:
-    """Fingertips (n, 3) m and their sensors' outward directions (n, 3), frame W."""
+    """Return the fingertip positions (n, 3), m, and the sensors' outward directions (n, 3), frame
+    W."""
     bodies = [sensor.body_id for sensor in world.sensors]
     return world.data.xpos[bodies].copy(), world.data.xmat[bodies].reshape(-1, 3, 3)[:, :, 2].copy()
 

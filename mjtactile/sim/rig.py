@@ -58,7 +58,7 @@ class _Plan:
 
     @property
     def steps_per_second(self) -> float:
-        """Number of steps per second, Hz; each image period is a whole number of steps."""
+        """Number of steps per second, Hz. Each image period is a whole number of steps."""
         largest = _LARGEST_STEP
         if self.fidelity is not None:
             largest = self.fidelity.timestep * (1 + 1e-9)
@@ -73,7 +73,7 @@ def build_sim_rig(
 ) -> Rig:
     """Build a simulated grasp.
 
-    The world uses the randomized values; sensing uses the fingers' designs, and the limits are the
+    The world uses the randomized values. Sensing uses the fingers' designs, and the limits are the
     file's. `file` and `sampled` replace the scenario's rig and the randomized world of its seed.
     Raises InputError for bad names or files.
     """
@@ -276,7 +276,8 @@ def strength_in_task(
 
 
 def build(request: RigRequest) -> Rig:
-    """The backend "sim" of `mjtactile.rig.registry`; without a file, the shipped "sim"."""
+    """Build the rig of the backend "sim" of `mjtactile.rig.registry`, by default the shipped
+    "sim"."""
     file = request.file if isinstance(request.file, SimRigFile) else load_sim_rig("sim")
     return build_sim_rig(request.scenario, file=file)
 

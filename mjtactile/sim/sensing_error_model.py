@@ -75,7 +75,8 @@ class SensingErrorModel:
         return np.column_stack([getattr(self, name) for name in ErrorsAtLoad._fields])
 
     def at(self, load: float) -> ErrorsAtLoad:
-        """All that goes with the load, at `load` N; beyond the last one as there."""
+        """Return the load-dependent errors at `load`, N, constant beyond the largest tabulated
+        load."""
         columns = [np.interp(load, self.loads, column) for column in self.at_loads.T]
         return ErrorsAtLoad.of(np.array(columns))
 

@@ -65,7 +65,7 @@ def observed_modes(
 
 
 class CameraDriftEstimator:
-    """Estimator of the camera drift of one sensor with fiducials; `s` has the sds of the modes."""
+    """Estimator of the camera drift of one sensor with fiducials. `s` has the sds of the modes."""
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class CameraDriftEstimator:
         variance = np.diagonal(now.cov[here] + rest.cov[there], axis1=1, axis2=2)
         weight = 1 / np.sqrt(variance + self._floor**2)
         weighted = weight[:, :, None] * rows
-        px = _middle(np.hypot(moved[:, 0], moved[:, 1]))
+        px = _upper_median(np.hypot(moved[:, 0], moved[:, 1]))
         likely = self._prior_sds(px)
         outlier = self._own.outlier
         mean, covariance, misfit = _solve(weighted, weight * moved, likely, outlier)
@@ -268,7 +268,7 @@ class CameraDriftEstimator:
         nearer = -s.displaced_shift * float(mean[2]) / camera.distance
         tone = tone_of(now.inside[here], now.outside[here], rest.inside[there], rest.outside[there])
         blur = np.square(now.blur_px[here]) - np.square(rest.blur_px[there])
-        more = _middle(blur)
+        more = _upper_median(blur)
         return CameraDrift(
             shift=(float(shift[0]), float(shift[1])),
             turn=float(rotation[2]),
@@ -300,7 +300,7 @@ def _solve(rows: Array, moved: Array, likely: Array, outlier: float) -> tuple[Ar
         mean = covariance @ (moves @ weighted)
         left = moves - flat @ mean
         square = np.square(left).reshape(n, 3).sum(axis=1) / 3
-        usual = max(_middle(square), 1.0)
+        usual = max(_upper_median(square), 1.0)
         if square.max() < _BELONGS * outlier * usual and weight.min() > _BELONGS:
             break
         weight = 1 / (1 + np.square(square / (outlier * usual)))
@@ -324,6 +324,6 @@ def _darker(
     return darker if changed else np.zeros_like(darker)
 
 
-def _middle(values: Array) -> float:
-    """The median, or the upper one of two."""
+def _upper_median(values: Array) -> float:
+    """Return the median; of an even count the upper of the two central values."""
     return float(np.sort(values)[len(values) // 2])

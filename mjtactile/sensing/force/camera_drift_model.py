@@ -85,7 +85,8 @@ class CameraDriftFilter:
         return np.column_stack([self.known, alone])
 
     def later(self, time: float, s: InverseSettings) -> CameraDriftFilter:
-        """The same at `time` s, in another image: meanwhile the camera has changed a little."""
+        """Return the filter at `time`, s, of another image, after a small random change of the
+        camera."""
         usual = np.diagonal(CameraDriftFilter.unseen(s).known)
         cov = self.known @ self.known.T
         cov += np.diag((s.drift_walk * usual) ** 2 * abs(time - self.time))

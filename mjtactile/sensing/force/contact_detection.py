@@ -36,7 +36,7 @@ class Detection:
 
 
 def threshold(noise: float, s: ContactDetectionSettings = DEFAULTS.zero) -> float:
-    """Normal force, N, above which there is a touch."""
+    """Return the normal force, N, above which contact is detected."""
     return max(s.touch_min, s.touch_sd * noise)
 
 

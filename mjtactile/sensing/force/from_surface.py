@@ -56,7 +56,7 @@ class SurfaceForce:
     """Contact force on a surface.
 
     Attributes:
-        force: Force on the membrane (3,), N, frame of the points; z is negative in contact.
+        force: Force on the membrane (3,), N, frame of the points. Z is negative in contact.
         center: Center of pressure (2,), m; NaN: no contact.
         area: Contact area, m^2.
         x: Grid coordinates (nx,), m.
@@ -88,12 +88,12 @@ def estimate_force_from_surface(
     """Estimate the force on an inflated membrane from its surface and pressure, by statics.
 
     Args:
-        points: Points on the membrane (n, 3), m, in any order; z is outward, away from the gas, and
+        points: Points on the membrane (n, 3), m, in any order. Z is outward, away from the gas, and
             each position has one height. Non-finite points are ignored.
         pressure: Gauge pressure of the gas, Pa.
         outline: Polygon in which the surface is measured (k, 2), m: the frame, or the camera's
             field of view.
-        membrane: The same membrane without contact, measured in the same way; it gives the tension.
+        membrane: The same membrane without contact, measured in the same way. It gives the tension.
         smoothing: Averaging length of the depths, m: a few times the point distance, and less than
             the width of the contact.
 
@@ -231,7 +231,7 @@ class _Grid:
         return heights.reshape(shape), self.inside & ~self.grown(~seen | ~self.inside, 1.0)
 
     def _interpolation(self, positions: Array) -> Any:
-        """Bilinear, (n, nx ny), sparse."""
+        """Return the bilinear interpolation matrix (n, nx ny), sparse."""
         from scipy import sparse
 
         at = (positions - [self.x[0], self.y[0]]) / self.spacing
@@ -254,7 +254,7 @@ class _Grid:
         return interpolation
 
     def _bending(self) -> Any:
-        """The sum of squares of second differences, (nx ny, nx ny), sparse."""
+        """Return the matrix (nx ny, nx ny) of the sum of squared second differences, sparse."""
         from scipy import sparse
 
         same = [sparse.eye_array(count) for count in self.inside.shape]
@@ -270,7 +270,8 @@ class _Grid:
         return rows.T @ rows
 
     def curvature(self, heights: Array) -> Array:
-        """Sum (nx, ny) of the principal curvatures, 1/m, positive where it bulges outward."""
+        """Return the sum (nx, ny) of the principal curvatures, 1/m, positive for an outward
+        bulge."""
         by_x, by_y = np.gradient(heights, self.spacing)
         longer = np.sqrt(1 + by_x**2 + by_y**2)
         bent = np.gradient(by_x / longer, self.spacing, axis=0)

@@ -54,7 +54,7 @@ class GasState:
         return replace(self, zero=self.zero + fraction)
 
     def refine_estimate(self, volume: float) -> GasState:
-        """The same with another volume, m^3, in the last image."""
+        """Return the state with another volume, m^3, in the last image."""
         return replace(self, seen=(*self.seen[:-1], (self.seen[-1][0], volume)))
 
     def volume_at(self, time: float) -> tuple[float, float]:
@@ -76,7 +76,7 @@ class GasFilter:
         self.settings = settings
 
     def start(self, gas: Gas, time: float, volume: float) -> GasState:
-        """The gas at rest in `volume` m^3, as it was measured a while ago."""
+        """Return the state of the gas in equilibrium at `volume`, m^3, measured some time ago."""
         pressure = self._ambient + gas.pressure_at(volume, self._ambient, self._gamma)
         is_open = gas.constant is None
         return GasState(
@@ -91,7 +91,7 @@ class GasFilter:
         )
 
     def gas_at(self, state: GasState, time: float) -> tuple[Gas, float]:
-        """The gas at `time` s, and the sd of its pressure, Pa."""
+        """Return the gas at `time`, s, and the standard deviation of its pressure, Pa."""
         ahead = time - state.time
         value = state.value + state.rate * ahead
         cov = _propagated(state.cov, ahead) + self._noise(state, abs(ahead))
@@ -113,8 +113,8 @@ class GasFilter:
     def after_image(
         self, state: GasState, time: float, volume: float, dent_fraction: float
     ) -> GasState:
-        """After an image at `time` s that shows `volume` m^3, wrong by `dent_fraction` of its
-        change."""
+        """Update the state after an image at `time`, s, with `volume`, m^3, whose change has the
+        relative error `dent_fraction`."""
         cov = state.cov.copy()
         if not state.is_open:
             change = self._gamma * (volume - state.seen[-1][1]) / volume

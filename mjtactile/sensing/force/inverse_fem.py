@@ -150,7 +150,7 @@ class InverseMembrane(LoadedMembrane):
         gain: Linearization,
         count: int,
     ) -> Shape:
-        """Do one Gauss-Newton step from `c`. The membrane relaxes to equilibrium; tractions and
+        """Do one Gauss-Newton step from `c`. The membrane relaxes to equilibrium. Tractions and
         drift explain the remaining motion of the markers. `seen` (m, 3), m, are the positions
         observed by the camera as assumed."""
         ids = markers.ids

@@ -26,7 +26,7 @@ class PlaneContact:
 
     `plane` (3,) are its height over the origin of S, m, and its slopes along x and y. `c` (3, n),
     m, are the coefficients of the membrane, and `load` (3, n), N, the generalized contact forces.
-    `traction` (3, J), Pa, are the contact tractions at the nodes; their sum is the force.
+    `traction` (3, J), Pa, are the contact tractions at the nodes. Their sum is the force.
     `log_volume` is the logarithm of the fraction of the prior volume that the plane's posterior
     has.
     """
@@ -58,7 +58,7 @@ class Linearization:
     - `reweighted`: number of linearizations with tractions estimated before.
     - `gas`: type of the gas (measured, open) and its standard deviation.
     - `darker` (m,): darkening of the markers since the rest reference.
-    - `camera`: prior of the camera drift; `lost`: True if gas may have been lost.
+    - `camera`: prior of the camera drift. `lost`: True if gas may have been lost.
     - `modes` (m, 3, modes): marker motion per camera mode, m.
     - `left` (modes, modes): fraction of the camera covariance that is left.
     - `correlation`: correlation length of the prior of the tractions, m.

@@ -43,7 +43,7 @@ class LoadPrior:
         )
 
     def after(self, traction: Array) -> Array:
-        """Return the standard deviations (3 J,), Pa, after the estimate `traction` (3, J); tension
+        """Return the standard deviations (3 J,), Pa, after the estimate `traction` (3, J). Tension
         counts as zero."""
         return self._scaled(self._pressing(traction), 1.0)
 

@@ -153,7 +153,7 @@ class MarkedMembrane:
         return None if self.rubber is None else self.rubber.start(c, scale, inflated_s, 0.0).total
 
     def positions(self, c: Array) -> Array:
-        """Marker centres (N, 3) m in S."""
+        """Return the marker centers (N, 3), m, in S."""
         return self._material + self._at_markers @ c.T
 
 

@@ -70,7 +70,7 @@ class MarkerSlopes:
         return np.einsum("mka,amst->kmst", self._turns[ids], by_tangents)
 
     def _tangents(self, c: Array, ids: NDArray[np.int64]) -> tuple[Array, Array]:
-        """dx/dX and dx/dY (m, 3) at the markers."""
+        """Return dx/dX and dx/dY (m, 3) at the markers."""
         return (
             self._along_x[ids] @ c.T + [1.0, 0.0, 0.0],
             self._along_y[ids] @ c.T + [0.0, 1.0, 0.0],

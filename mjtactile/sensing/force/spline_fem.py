@@ -56,13 +56,13 @@ class Gas:
             )
 
     def pressure_at(self, volume: float, ambient: float, gamma: float) -> float:
-        """Gauge pressure, Pa, at gas volume m^3 (Eq. G1)."""
+        """Return the gauge pressure, Pa, at a gas volume, m^3 (Eq. G1)."""
         if self.constant is None:
             return self.gauge_pressure
         return self.constant / volume**gamma - ambient
 
     def stiffness(self, volume: float, gamma: float) -> float:
-        """-dp/dV, Pa/m^3 (Eq. G3)."""
+        """Return -dp/dV, Pa/m^3 (Eq. G3)."""
         if self.constant is None:
             return 0.0
         return gamma * self.constant / volume ** (gamma + 1)
@@ -94,7 +94,8 @@ class Stiffness:
     fraction: float
 
     def solve(self, forces: Array) -> Array:
-        """Displacements (3, n) m by generalised forces (3, n) N, to first order."""
+        """Solve for the displacements (3, n), m, under generalized forces (3, n), N, to first
+        order."""
         out = np.empty_like(forces)
         kernel("spline_solve")(
             *self.membrane.shape, self.factor, self.softened, self.fraction, forces, out
@@ -213,8 +214,8 @@ class SplineMembrane:
         return (constants, *self._table)
 
     def stress(self, c: Array) -> Array:
-        """Second Piola-Kirchhoff stress (3, qx, qy) N/m of the file's law at the Gauss points: S11,
-        S22, S12."""
+        """Return the second Piola-Kirchhoff stress (3, qx, qy), N/m, at the Gauss points: S11, S22,
+        S12."""
         g1, g2 = self._tangents(c)
         stretch2 = self.design.membrane.pre_stretch**2
         # right Cauchy-Green tensor relative to the unstretched membrane
@@ -243,7 +244,7 @@ class SplineMembrane:
         return (along + across).reshape(3, self.count)
 
     def _tangents(self, c: Array) -> tuple[Array, Array]:
-        """dx/dX and dx/dY (3, qx, qy) at the Gauss points."""
+        """Return dx/dX and dx/dY (3, qx, qy) at the Gauss points."""
         qx, qy = self.weights.shape
         # (3, 2 qx, 2 qy): value and slope along x, y
         up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y
@@ -263,16 +264,16 @@ class SplineMembrane:
         return longer / (2 * float(self.weights.sum())) - 1
 
     def area_vector(self, c: Array, weight: Array) -> Array:
-        """The sum (3,) of the area vectors dx/dX cross dx/dY at the Gauss points, times `weight`
-        (qx, qy)."""
+        """Sum the area vectors dx/dX cross dx/dY at the Gauss points, times `weight` (qx, qy), to
+        (3,)."""
         g1, g2 = self._tangents(c)
         M = (g1 * weight).reshape(3, -1) @ g2.reshape(3, -1).T
         return np.array([M[1, 2] - M[2, 1], M[2, 0] - M[0, 2], M[0, 1] - M[1, 0]])
 
     @staticmethod
     def residual(state: State, gauge_pressure: float) -> Array:
-        """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at
-        rest."""
+        """Return the generalized forces (3, n), N, that hold the state: elastic minus gas (Eq. F9).
+        They are zero in equilibrium."""
         return state.elastic - gauge_pressure * state.gradient
 
     def tangent(self, state: State, gauge_pressure: float) -> Array:
@@ -287,15 +288,15 @@ class SplineMembrane:
     # -- equilibrium
 
     def gas_pressure(self, state: State, gas: Gas) -> tuple[float, float]:
-        """Gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
+        """Return the gauge pressure, Pa, and the stiffness -dp/dV, Pa/m^3, of the gas in this
+        state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         pressure = gas.pressure_at(volume, chamber.ambient, chamber.polytropic_exponent)
         return pressure, gas.stiffness(volume, chamber.polytropic_exponent)
 
     def seal(self, state: State, gauge_pressure: float) -> Gas:
-        """The gas that is in the chamber in this state, at this gauge pressure, kept from now
-        on."""
+        """Return the sealed gas with this gauge pressure, Pa, in this state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         return Gas(
@@ -311,7 +312,7 @@ class SplineMembrane:
         return self.residual(state, pressure), stiffness
 
     def factorized(self, band: Array, state: State, gas_stiffness: float) -> Stiffness:
-        """Factorize the tangent `band` in place; the gas with `gas_stiffness`, Pa/m^3, is added.
+        """Factorize the tangent `band` in place. The gas with `gas_stiffness`, Pa/m^3, is added.
         Raises MjtactileError if a value is not finite."""
         softened = np.empty(3 * self.count)
         try:
@@ -353,10 +354,10 @@ class SplineMembrane:
 
 
 def _products(along: Array, across: Array) -> Array:
-    """Tensor products (N, n) of splines along x (N, kx) and along y (N, ky), y fastest."""
+    """Return the tensor products (N, n) of splines along x (N, kx) and y (N, ky), y fastest."""
     return (along[:, :, None] * across[:, None, :]).reshape(len(along), -1)
 
 
 def product(x: Array, y: Array) -> Array:
-    """All pairs (len(x) len(y), 2), y fastest."""
+    """Return all pairs (len(x) len(y), 2), y fastest."""
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -35,7 +35,7 @@ class RelaxationState:
 
 
 class RelaxingMembrane:
-    """Stress relaxation of one sensor's membrane; `scale` is the factor on its long-term modulus,
+    """Stress relaxation of one sensor's membrane. `scale` is the factor on its long-term modulus,
     as in `InverseRest`."""
 
     def __init__(self, membrane: SplineMembrane, relaxation: Relaxation):

@@ -46,7 +46,7 @@ class LoadedMembrane(MarkedMembrane):
         self._fine = fine.T.reshape(2, len(fine_x), len(fine_y))
 
     def node_loads(self) -> tuple[Array, Array]:
-        """Generalised forces (kx, jx), (ky, jy) of one pascal at each node, along x and y."""
+        """Return the generalized forces (kx, jx), (ky, jy) of 1 Pa at each node, along x and y."""
         ax, ay = self.membrane.axes
         hat_x, hat_y = self._hats
         along_x = (ax.at(ax.points) * ax.weights[:, None]).T @ hat_x

@@ -36,7 +36,7 @@ class Candidates:
         return Candidates(self.center[keep], self.shape[keep], self.misfit[keep], self.cut[keep])
 
     def joined(self, more: Candidates) -> Candidates:
-        """These and then `more`."""
+        """Return these candidates followed by `more`."""
         return Candidates(
             *(
                 np.concatenate([a, b])
@@ -65,7 +65,7 @@ def find(
 
 
 def outlines(binary: NDArray[np.uint8], min_radius_px: float, s: CandidateSettings) -> Candidates:
-    """The blobs of a binary image (H, W) as candidates."""
+    """Return the blobs of a binary image (H, W) as candidates."""
     borders, tree = cv2.findContours(binary, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     if not borders:
         return _NONE
@@ -101,8 +101,8 @@ def threshold(
 
 
 def noise_margin(soft: NDArray[np.uint8], s: CandidateSettings) -> float:
-    """Several times the noise left in `soft`, from the median difference of neighbours on some of
-    the rows."""
+    """Return a multiple of the noise in `soft`, from the median difference of neighbors in some
+    rows."""
     rows = soft[:: max(1, soft.shape[0] // 16)]
     histogram = cv2.calcHist(
         [cv2.absdiff(rows[:, 1:], rows[:, :-1])], [0], None, [256], [0, 256]
@@ -114,8 +114,8 @@ def noise_margin(soft: NDArray[np.uint8], s: CandidateSettings) -> float:
 def _moments(
     points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]
 ) -> Candidates:
-    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels'
-    centres. `points` (P, 1, 2) of one border after the other, `counts` (N,) of them."""
+    """Compute the area moments of all borders, by Green's theorem on polygons through pixel
+    centers. `points` (P, 1, 2) of all borders are consecutive, with `counts` (N,) each."""
     n = len(counts)
     center = np.empty((n, 2))
     shape = np.empty((n, 3))

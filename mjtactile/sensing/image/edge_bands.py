@@ -78,15 +78,15 @@ class Pixels:
         self.starts = np.cumsum(counts) - counts
 
     def sums(self, values: NDArray) -> Array:
-        """Per-marker sums (..., n) of `values` (..., P)."""
+        """Sum `values` (..., P) per marker, (..., n)."""
         return np.add.reduceat(values, self.starts, axis=-1)
 
     def spread(self, values: Array) -> NDArray:
-        """Per-marker `values` (..., n) repeated for each of its pixels (..., P)."""
+        """Repeat per-marker `values` (..., n) for each pixel, (..., P)."""
         return np.repeat(values.astype(np.float32), self.counts, axis=-1)
 
     def every(self, stride: int) -> Pixels:
-        """Every `stride`-th pixel of each marker."""
+        """Select every `stride`-th pixel of each marker."""
         counts = -(-self.counts // stride)
         starts = np.cumsum(counts) - counts
         index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(
@@ -110,7 +110,7 @@ class NeighborMarkers:
     def of(
         cls, center: Array, shape: Array, count: int, width: float, s: EdgeSettings
     ) -> NeighborMarkers:
-        """The neighbours of the first `count` markers whose bands are +-`width` px."""
+        """Find the neighbors of the first `count` markers, whose bands are +-`width` px."""
         near = np.full((count, 0), -1, dtype=np.int64)
         if len(center) < 2:
             return cls(center, shape, near, s.neighbour_margin)

@@ -1,6 +1,6 @@
 """Sub-pixel ellipses by least squares on the image, for all markers together.
 
-Estimator for small or strongly blurred markers; `profiles` is ten times faster for larger ones.
+Estimator for small or strongly blurred markers. `profiles` is ten times faster for larger ones.
 Model of the pixels near one marker's edge, (dx, dy) from its center:
 
     I = (1 + g . (dx, dy)) (outside + (inside - outside) F)
@@ -57,7 +57,7 @@ class EdgeFit:
     motion: Array
 
     def take(self, keep: NDArray[np.bool_]) -> EdgeFit:
-        """The fits selected by `keep` (N,)."""
+        """Return the fits selected by `keep` (N,)."""
         return EdgeFit(*(column[keep] for column in vars(self).values()))
 
 
@@ -72,7 +72,7 @@ class _KnownBlur:
     def normal(
         self, pixels: Pixels, theta: Array, J: NDArray, residual: NDArray, weight: NDArray
     ) -> tuple[Array, Array]:
-        """Normal matrix (n, 10, 10) and right side (n, 10) of pixels and prior."""
+        """Return the normal matrix (n, 10, 10) and right-hand side (n, 10) of pixels and prior."""
         H = normal_matrix(pixels, J, weight)
         right = pixels.sums(J * (weight * residual)).T
         if self.weight:
@@ -94,7 +94,7 @@ def fit(
     s: EdgeSettings = DEFAULTS.edges,
 ) -> EdgeFit:
     """Fit N ellipses starting from `center` (N, 2), `shape` (N, 3), and `blur` px. The blur is
-    approximate; `blur_sd`, px, is its standard deviation from another source. Pixels that another
+    approximate. `blur_sd`, px, is its standard deviation from another source. Pixels that another
     marker darkens are left out. `others` holds centers and shapes of more such markers."""
     width = max(5.0, 3.5 * blur)
     known = _KnownBlur(
@@ -133,7 +133,7 @@ def fit(
 
 
 def merge(first: NDArray[np.bool_], fit: EdgeFit, other: EdgeFit) -> EdgeFit:
-    """The fits of `fit` where `first`, of `other` elsewhere."""
+    """Return the fits of `fit` where `first` is True, else those of `other`."""
     columns = []
     for a, b in zip(vars(fit).values(), vars(other).values(), strict=True):
         both = np.empty((len(first), *a.shape[1:]))
@@ -144,8 +144,8 @@ def merge(first: NDArray[np.bool_], fit: EdgeFit, other: EdgeFit) -> EdgeFit:
 
 
 def _levels(image: NDArray, center: Array, shape: Array) -> tuple[Array, Array]:
-    """First guess of the levels inside and outside: medians on a ring 1/2 in and on one 4 px
-    out."""
+    """Estimate initial levels inside and outside as medians on two rings: at half the size, and 4
+    px outside."""
     height, width = image.shape
     rings = []
     for ring in (0.5 * shape, shape + [4.0, 0.0, 4.0]):
@@ -237,7 +237,7 @@ def gather(
 
 
 def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
-    """Per-marker J^T W J (n, 10, 10)."""
+    """Return J^T W J (n, 10, 10) of each marker."""
     H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
     WJ = J * weight
     for i in range(PARAMETERS):
@@ -262,7 +262,7 @@ def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) ->
 
 
 def _step(theta: Array, H: Array, gradient: Array) -> Array:
-    """One damped Gauss-Newton step, limited so that a bad start cannot run away."""
+    """Take one damped Gauss-Newton step, limited so that a bad start does not diverge."""
     diagonal = np.arange(PARAMETERS)
     damped = H.copy()
     damped[:, diagonal, diagonal] = damped[:, diagonal, diagonal] * (1 + 1e-6) + 1e-9

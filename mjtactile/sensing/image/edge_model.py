@@ -106,7 +106,7 @@ def _blurred_disc(
 ) -> tuple[NDArray, NDArray]:
     """Compute the filled ellipse blurred by a Gaussian of standard deviation `sigma`.
 
-    Also return its slope across the edge times sigma. Pixels are at `e`; moves along the normal and
+    Also return its slope across the edge times sigma. Pixels are at `e`. Moves along the normal and
     the tangent are `f` and `d`. All are in unit-circle coordinates. Across the edge the blur is an
     exact integral over a chord. It is Phi at the near end minus Phi at the far end. Along the edge
     it is the five-point Gauss-Hermite mean of such chords. The mean is exact to ninth order in the

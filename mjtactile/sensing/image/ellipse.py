@@ -23,15 +23,15 @@ def middle(values: Array) -> float:
 
 
 def inverse_shape(shape: Array) -> Array:
-    """Entries (N, 3) of S^-1."""
+    """Return the entries (N, 3) of S^-1."""
     p, q, s = shape.T
     return np.array([s, -q, p]).T / (p * s - q * q)[:, None]
 
 
 def shape_from_moments(second: Array) -> Array:
-    """S (N, 3) of the ellipse whose area has central second moments (xx, xy, yy) `second` (N, 3):
-    S^2 = 4 moments. The square root of a 2x2 matrix M: (M + sqrt(det M) I)/sqrt(trace M + 2
-    sqrt(det M))."""
+    """Return S (N, 3) of the ellipses with central second moments (xx, xy, yy) `second` (N, 3): S^2
+    = 4 moments. The square root of a 2x2 matrix M is (M + sqrt(det M) I)/sqrt(trace M + 2 sqrt(det
+    M))."""
     xx, xy, yy = (4 * second).T
     root = np.sqrt(np.maximum(xx * yy - xy * xy, 0.0))
     scale = 1 / np.sqrt(np.maximum(xx + yy + 2 * root, 1e-12))
@@ -39,7 +39,8 @@ def shape_from_moments(second: Array) -> Array:
 
 
 def axes_from_shape(shape: Array) -> tuple[Array, Array]:
-    """Semi-axes a >= b (N, 2) and the angle (N,) of a from +u towards +v, rad in (-pi/2, pi/2]."""
+    """Return the semi-axes a >= b (N, 2), and the angle (N,) of a from +u towards +v, rad in
+    (-pi/2, pi/2]."""
     p, q, s = shape.T
     mean = (p + s) / 2
     half = np.hypot((p - s) / 2, q)
@@ -47,7 +48,7 @@ def axes_from_shape(shape: Array) -> tuple[Array, Array]:
 
 
 def shape_from_axes(semi_axes: Array, angle: Array) -> Array:
-    """S (N, 3) of semi-axes (N, 2) and angle (N,)."""
+    """Return S (N, 3) for semi-axes (N, 2) and angles (N,)."""
     c = np.cos(angle)
     s = np.sin(angle)
     a, b = semi_axes.T
@@ -55,12 +56,12 @@ def shape_from_axes(semi_axes: Array, angle: Array) -> Array:
 
 
 def axes_difference(a: Array, b: Array) -> Array:
-    """a - b (N,), not below the floor that keeps the angle's variance finite."""
+    """Return a - b (N,), with a lower bound that keeps the angle's variance finite."""
     return np.maximum(a - b, _ROUND * a)
 
 
 def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
-    """Derivative (N, 5, 5) of (u, v, p, q, s) with respect to (u, v, a, b, angle)."""
+    """Return the derivative (N, 5, 5) of (u, v, p, q, s) with respect to (u, v, a, b, angle)."""
     c = np.cos(angle)
     s = np.sin(angle)
     a, b = semi_axes.T
@@ -74,7 +75,7 @@ def axes_jacobian(semi_axes: Array, angle: Array) -> Array:
 
 
 def covariance_of_axes(cov: Array, semi_axes: Array, angle: Array) -> Array:
-    """Covariance (N, 5, 5) of (u, v, a, b, angle) from that of (u, v, p, q, s)."""
+    """Transform the covariance (N, 5, 5) of (u, v, p, q, s) to that of (u, v, a, b, angle)."""
     c = np.cos(angle)
     s = np.sin(angle)
     a, b = semi_axes.T
@@ -94,8 +95,8 @@ def covariance_of_shape(cov: Array, semi_axes: Array, angle: Array) -> Array:
 
 
 def boundary(center: Array, shape: Array, count: int) -> tuple[Array, Array]:
-    """`count` points (N, count, 2) around each ellipse, and their unit-circle parameters e (count,
-    2)."""
+    """Return `count` points (N, count, 2) around each ellipse, and their unit-circle parameters e
+    (count, 2)."""
     t = 2 * np.pi * np.arange(count) / count
     e = np.array([np.cos(t), np.sin(t)]).T
     p, q, s = (column[:, None] for column in shape.T)

@@ -81,7 +81,7 @@ def sound(fit: EdgeFit) -> EdgeFit:
 
 
 def as_ellipses(fit: EdgeFit, status: NDArray[np.str_]) -> Ellipses:
-    """Fits as semi-axes and angles."""
+    """Convert fits to semi-axes and angles."""
     n = len(fit.center)
     axes = np.empty((n, 2))
     angle = np.empty(n)

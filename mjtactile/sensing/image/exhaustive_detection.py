@@ -40,7 +40,7 @@ class Rejected:
         return len(self.status)
 
     def records(self) -> list[dict[str, Any]]:
-        """One JSON-ready record per candidate: `center_px`, `semi_axes_px`, `status`."""
+        """Return one JSON-ready record per candidate: `center_px`, `semi_axes_px`, `status`."""
         columns = self.center_px.tolist(), self.semi_axes_px.tolist(), self.status.tolist()
         return [
             {"center_px": center, "semi_axes_px": axes, "status": why}

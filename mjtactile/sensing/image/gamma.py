@@ -45,7 +45,7 @@ class Gamma:
         return bool(deviation > s.min_sds * self.sd / self.value and deviation > s.min_log_change)
 
     def size_uncertainty(self, assumed: float, s: GammaSettings) -> float:
-        """Sd in px of circles' size where `assumed` was used."""
+        """Return the standard deviation, px, of circle sizes if `assumed` was used."""
         return s.size_per_log * float(np.hypot(np.log(self.value / assumed), self.sd / self.value))
 
 
@@ -53,7 +53,8 @@ UNKNOWN = Gamma(np.nan, np.nan, 0)
 
 
 def linear_light(grey: NDArray, gamma: float) -> NDArray:
-    """Grey levels (H, W) uint8 or uint16 of a camera with E = c L^(1/gamma) as 16 bits of light."""
+    """Convert gray levels (H, W), uint8 or uint16, of a camera with E = c L^(1/gamma) to 16 bits of
+    light."""
     if gamma == 1:
         return grey
     top = np.iinfo(grey.dtype).max
@@ -76,7 +77,7 @@ def estimate_gamma(grey: NDArray, ellipses: Ellipses, settings: Settings = DEFAU
 
 
 def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> tuple[Pixels, Array]:
-    """The bands' pixels as they are, not softened."""
+    """Collect the pixels of the bands, without softening."""
     around = NeighborMarkers.of(
         center, shape, len(center), settings.gamma.profile_half_width, settings.edges
     )
@@ -87,8 +88,7 @@ def _pixels(grey: NDArray, center: Array, shape: Array, settings: Settings) -> t
 
 
 def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Array:
-    """Parameters (n, 10) to start from, as those of `edges`, but with the levels inside and outside
-    in grey levels."""
+    """Return initial parameters (n, 10), as those of `edges` but with levels in gray levels."""
     theta = np.zeros((len(center), edge_fit.PARAMETERS))
     theta[:, :2] = center
     theta[:, 2:5] = shape
@@ -107,7 +107,7 @@ def _start(pixels: Pixels, center: Array, shape: Array, s: GammaSettings) -> Arr
 
 
 def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
-    """Gauss-Newton for log gamma and every circle's parameters at once."""
+    """Fit log gamma and the parameters of all circles at once, by Gauss-Newton steps."""
     log_gamma = float(np.log(s.start_gamma))
     step = np.inf
     single = np.zeros(len(theta))
@@ -161,7 +161,7 @@ def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArra
 
 
 def _bounded_step(theta: Array, change: Array) -> Array:
-    """Parameters after a step that is not so long that they make no sense."""
+    """Return the parameters after a step that is limited to plausible values."""
     change[:, :5] = np.clip(change[:, :5], -0.5, 0.5)
     new = theta + change
     new[:, 5:7] = np.clip(new[:, 5:7], 0.5 * theta[:, 5:7], 2 * theta[:, 5:7])

@@ -69,7 +69,7 @@ def search(
 
 
 def check_polarity(polarity: str) -> None:
-    """Raises InputError for another than those that there are."""
+    """Raise InputError for an unknown polarity."""
     if polarity not in ("dark", "bright"):
         raise InputError(
             f"{polarity!r}", source="detect", field="polarity", choices=("dark", "bright")

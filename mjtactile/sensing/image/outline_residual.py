@@ -155,8 +155,8 @@ def outline_residual(grey: NDArray, fit: EdgeFit, edge_noise: float = 0.0) -> Ou
 
 
 def _noise(grey: NDArray) -> float:
-    """Standard deviation of the pixels' noise, gray levels, from second differences along rows.
-    They are free of slow changes of the light."""
+    """Return the standard deviation of the pixel noise, gray levels. It comes from second
+    differences along rows, which are free of slow changes of the light."""
     rows = grey[:: max(1, grey.shape[0] // 32)].astype(np.float32)
     second = np.abs(rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2])
     plain = second[second <= 3 * np.median(second) + 1]  # no edges

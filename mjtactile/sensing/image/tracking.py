@@ -1,6 +1,6 @@
 """Marker tracking in a sequence of images.
 
-Each fit starts at the predicted position of its marker. It converges from two pixels away; markers
+Each fit starts at the predicted position of its marker. It converges from two pixels away. Markers
 move less than that between images. A fit is accepted if its position is near the prediction, its
 shape and contrast are those of the previous image, and its residual is like those of the other
 markers. The whole image is searched for markers if a fit is rejected, after a gap, at regular

@@ -68,9 +68,9 @@ def pose_covariances(
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
-    """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the
-    cones `Q` (N, 3, 3). Q has one negative eigenvalue (the inside of the ellipse is negative), its
-    eigenvector within 90 deg of z. Normals point towards the camera."""
+    """Compute centers and normals, (2, N, 3) each, of circles of `radius` (N,) on the cones `Q` (N,
+    3, 3), in closed form. Q has one negative eigenvalue, because it is negative inside the ellipse.
+    The eigenvector is within 90 deg of z. Normals point towards the camera."""
     poses = np.empty((4, len(Q), 3))
     kernel("circles_on_cones")(len(Q), Q, radius, poses)
     return poses[:2], poses[2:]
@@ -89,8 +89,8 @@ def _arrays(ellipses: Ellipses) -> tuple[Array, ...]:
 
 
 def _tilted(n: Array, p: Array) -> Array:
-    """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the
-    tilt."""
+    """Return normals (N, 3) with a minimum tilt. The ellipse of a face-on circle does not change
+    with the tilt."""
     far = np.sqrt((p * p).sum(axis=1))
     flat = -(n * p).sum(axis=1) > np.cos(_MIN_TILT) * far
     if not flat.any():

@@ -115,7 +115,7 @@ def detect_circles(
             smooths elongation, and depth if the circles are small and all of one radius. "always"
             smooths depth at any size; "never" estimates each alone. Circles that disagree are not
             smoothed.
-        gamma: Gamma of a camera whose gray levels are light to the power of 1/gamma; "auto" uses a
+        gamma: Gamma of a camera whose gray levels are light to the power of 1/gamma. "auto" uses a
             clear estimate from the circles. The covariance then includes its uncertainty. If the
             estimate clearly differs from the given value, it includes the difference.
         settings: Settings of the stages; None: the defaults.
@@ -200,7 +200,8 @@ def _together(
     neighbours: Neighbours,
     settings: Settings,
 ) -> DetectedCircles:
-    """Poses of the circles, with as much help of each other as `neighbours` allows."""
+    """Estimate the poses of the circles, with shared information between neighbors as `neighbours`
+    allows."""
     camera = camera if isinstance(camera, optics.Camera) else optics.Camera.from_design(camera)
     poses = estimate_poses(ellipses, camera, radius)
     if neighbours == "never":
@@ -268,7 +269,8 @@ def locate(
     min_radius_px: float = 1.5,
     neighbours: Neighbours = "auto",
 ) -> list[dict[str, Any]]:
-    """`detect_circles` as JSON-ready records; see `circles_to_records`."""
+    """Detect circles and return them as JSON-ready records. See `detect_circles`,
+    `circles_to_records`."""
     found = detect_circles(
         image, camera, radius, polarity=polarity, min_radius_px=min_radius_px, neighbours=neighbours
     )

@@ -65,9 +65,9 @@ def measure_flat(
     seen: Sequence[Markers],
     s: ReferenceSettings = DEFAULTS.reference,
 ) -> FlatReference:
-    """Camera pose and marker radii from images of the flat membrane. `seen` holds the identified
-    markers of each image, positions as if the file's pose and radii were right. Raises DeviceError
-    when they do not agree with the sensor file."""
+    """Estimate the camera pose and marker radii from images of the flat membrane. `seen` holds the
+    identified markers of each image, located with the file's pose and radii. Raises DeviceError if
+    they contradict the sensor file."""
     count = design.markers.count
     total = np.zeros((count, 2))
     times = np.zeros(count)

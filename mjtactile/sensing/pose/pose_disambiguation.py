@@ -79,7 +79,7 @@ def _probability(
     depth_sd: Array | None,
     s: PoseDisambiguationSettings,
 ) -> Array:
-    """P(first) (N,) of the normals `n` (2, N, 3)."""
+    """Return P(first) (N,) of the normals `n` (2, N, 3)."""
     prior = _tilt_prior(n, cov_n, s)
     found = _surface_normals(poses, depth_sd, s)
     if found is None:
@@ -99,7 +99,7 @@ def _probability(
 
 
 def _shared_sds(s: PoseDisambiguationSettings) -> Array:
-    """Standard deviations of the normals, rad, that are compared."""
+    """Return the standard deviations of normals, rad, to compare."""
     return np.geomspace(s.min_surface_sd, max(s.max_normal_sd, s.min_surface_sd), _SHARED_SDS)
 
 
@@ -123,8 +123,8 @@ def _share_on_surface(
 
 
 def _tilt_prior(n: Array, cov_n: Array, s: PoseDisambiguationSettings) -> Array:
-    """Density (2, N) per steradian of the normals for tilts that are all equally likely; blurred by
-    their own sd."""
+    """Return the density (2, N), 1/sr, of the normals for uniformly distributed tilts, blurred by
+    their own standard deviations."""
     variance = np.trace(_bounded(cov_n, s), axis1=2, axis2=3) / 2
     sine = np.sqrt(n[..., 0] ** 2 + n[..., 1] ** 2 + variance)
     return 1 / (np.pi**2 * sine)

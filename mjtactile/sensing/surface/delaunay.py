@@ -18,9 +18,9 @@ from mjtactile.sensing.surface.surface import GAUSS, check_markers, grid_of
 
 
 def reconstruct_delaunay(design: SensorDesign, p_SM: ArrayLike) -> Surface:
-    """The paper's route: triangles, barycentric grid with the frame as boundary, B-spline surface.
-    `p_SM` (N, 3) m. The "low resolution" grid that the spline goes through has half the markers'
-    pitch. The paper gives no uncertainty: `area_sd`, `volume_sd` are NaN."""
+    """Reconstruct the surface as in the paper: triangles, barycentric grid with the frame as
+    boundary, B-spline. `p_SM` is (N, 3), m. The "low resolution" grid of the spline has half the
+    marker pitch. The paper gives no uncertainty: `area_sd` and `volume_sd` are NaN."""
     # lazily: only the paper's route needs it
     from scipy.interpolate import LinearNDInterpolator, RectBivariateSpline
 

@@ -63,14 +63,14 @@ class SharedDepth:
     relative_sd: Array
 
     def relative_sds(self, count: int) -> Array:
-        """`relative_sd` of all `count` circles, NaN for those that do not agree."""
+        """Return `relative_sd` of all `count` circles; NaN for those off the surface."""
         sd = np.full(count, np.nan)
         sd[self.at] = self.relative_sd
         return sd
 
     def along_rays(self, poses: CirclePoses, cov_p_alt: Array) -> tuple[CirclePoses, Array]:
-        """`poses` with these depths, and the covariance of the second centres, (N, 3, 3) m^2 as
-        given, with them too."""
+        """Return `poses` moved to these depths along their rays, and the moved covariance of the
+        second centers, (N, 3, 3) m^2."""
         p = poses.p_CM.copy()
         alt = poses.p_CM_alt.copy()
         cov = poses.cov_p.copy()
@@ -92,9 +92,9 @@ class SharedDepth:
 def agree_on_depth(
     alone: CirclePoses, s: SmoothnessSettings = DEFAULTS.smoothness
 ) -> SharedDepth | None:
-    """The smooth surface that the circles lie on; None if they do not plainly lie on one. `alone`
-    was estimated with no help of neighbours, so that its errors are independent. Circles that
-    disagree with the surface are not `at` it."""
+    """Fit a smooth surface to the circles; None if they do not clearly lie on one. `alone` was
+    estimated without neighbors, so errors are independent. Circles off the surface are not in
+    `at`."""
     ok = np.flatnonzero(alone.status == "ok")
     if not s.circle_range[0] <= len(ok) <= s.circle_range[1]:
         return None
@@ -115,8 +115,8 @@ def agree_on_depth(
 
 
 def _fit(xy: Array, w: Array, sd: Array, s: SmoothnessSettings) -> _Smooth:
-    """Thin-plate spline through `w` (N,) at `xy` (N, 2), with the smoothness that the data ask for;
-    robust."""
+    """Fit a robust thin-plate spline to `w` (N,) at `xy` (N, 2), with smoothness estimated from the
+    data."""
     x = (xy - xy.mean(axis=0)) / max(float(np.ptp(xy, axis=0).max()), 1e-12)
     square = ((x[:, None] - x[None]) ** 2).sum(axis=2)
     K = 0.5 * square * np.log(square + 1e-300)
@@ -152,8 +152,8 @@ def _not_gross(x: Array, y: Array, sd: Array, gross: float) -> Array:
 
 
 def _spline(K: Array, T: Array, w: Array, sd: Array, s: SmoothnessSettings) -> tuple[Array, Array]:
-    """The spline's values (N,) and their posterior sd (N,), by the eigenvectors V of the bending
-    energy beyond planes."""
+    """Return the spline's values (N,) and posterior standard deviations (N,), by the eigenvectors V
+    of the bending energy beyond planes."""
     n = len(w)
     beyond = np.linalg.qr(T / sd[:, None], mode="complete")[0][:, 3:]
     k, U = np.linalg.eigh(beyond.T @ (K / np.outer(sd, sd)) @ beyond)

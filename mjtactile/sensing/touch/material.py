@@ -44,7 +44,7 @@ class _Phases:
 @dataclass(frozen=True)
 class _Curve:
     """Deformation under load, d(F) = 2 a F / (1 + sqrt(1 + 4 q F)), so that F = d/a + (q/a^2) d^2.
-    `free_width` m is the width at F = 0; `cov` (3, 3) is the covariance of (free width, a, q)."""
+    `free_width` m is the width at F = 0. `cov` (3, 3) is the covariance of (free width, a, q)."""
 
     free_width: float
     compliance: float
@@ -52,7 +52,7 @@ class _Curve:
     cov: Array
 
     def width(self, force: Array) -> Array:
-        """Width, m, under `force` N."""
+        """Return the width, m, under `force`, N."""
         return self.free_width - 2 * self.compliance * force / (
             1 + np.sqrt(1 + 4 * self.stiffening * force)
         )
@@ -276,7 +276,8 @@ def _modulus(
 
 
 def _flow_speed(squeeze: Squeeze, hold: NDArray[np.int64], early_time: float) -> float:
-    """Speed, m/s, at which the width shrinks in the first `early_time` s after the jaws stopped."""
+    """Return the speed, m/s, at which the width decreases in the first `early_time`, s, after the
+    jaws stopped."""
     early = hold[squeeze.time[hold] <= squeeze.time[hold[0]] + early_time]
     if len(early) < 3:
         return math.nan

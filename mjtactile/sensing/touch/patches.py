@@ -94,8 +94,8 @@ def together(patches: tuple[Contact, ...], grid_shape: tuple[int, int]) -> Conta
 
 @cache
 def _smoother(nodes: int, sd: float) -> Array:
-    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, `sd`
-    in nodes, then linear."""
+    """Return the matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian
+    smoothing with `sd` in nodes, then linear interpolation."""
     index = np.arange(nodes)
     kernel = np.exp(-0.5 * (np.subtract.outer(index, index) / sd) ** 2)
     kernel /= kernel[nodes // 2].sum()

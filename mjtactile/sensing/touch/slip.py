@@ -255,7 +255,8 @@ def _latest_direction(samples: Sequence[SlipSample]) -> float:
 
 
 def _extent(history: SlipHistory, along: Array) -> tuple[float, float]:
-    """Radius of gyration of the pressure, m, and its sd along the direction (3,)."""
+    """Return the radius of gyration of the pressure, m, and its standard deviation along the
+    direction (3,)."""
     centered = history.position - history.weight @ history.position
     radius = float(np.sqrt(history.weight @ (centered**2).sum(axis=1)))
     length = float(np.sqrt(history.weight @ (centered[:, :2] @ along[:2]) ** 2))

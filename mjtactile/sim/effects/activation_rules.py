@@ -75,7 +75,7 @@ _SHADED = 0.06
 class Scene:
     """Input of the gates.
 
-    `feature`, m, is the object's smallest radius; `sharp` is True if it has edges. `half_extents`,
+    `feature`, m, is the object's smallest radius. `sharp` is True if it has edges. `half_extents`,
     m, are half its size along and across a membrane that closes on it.
     """
 
@@ -100,7 +100,7 @@ class Scene:
 
 
 Gate = Callable[[Scene], tuple[bool, str]]
-"""Function of a scene; returns True if the scene needs the effect, and the reason as a sentence."""
+"""Function of a scene. Returns True if the scene needs the effect, and the reason as a sentence."""
 
 
 def gas(s: Scene) -> tuple[bool, str]:

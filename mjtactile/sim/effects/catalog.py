@@ -70,7 +70,7 @@ class Chosen:
         return frozenset(c.effect.name for c in self.choices if c.on and c.effect.built)
 
     def summary(self) -> list[dict[str, Any]]:
-        """One object an effect, for JSON."""
+        """Return one JSON object per effect."""
         return [
             {
                 "effect": c.effect.name,

@@ -30,7 +30,7 @@ QUASISTATIC = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
 """Default force error for the choice of effects, N."""
 MIN_FORCE_ERROR = 1e-4
-"""Minimum force error that can be required, N; the solver's noise in a grasp is larger."""
+"""Minimum force error that can be required, N. The solver's noise in a grasp is larger."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Fidelity:
         return ",".join(part for part in parts if part) or "auto"
 
     def summary(self) -> dict[str, Any]:
-        """Return the setting for the record of a run; JSON keys carry units."""
+        """Return the setting for the record of a run. JSON keys carry units."""
         return {
             "mesh": list(self.mesh),
             "timestep_ms": 1e3 * self.timestep,
@@ -134,7 +134,7 @@ class Fidelity:
 
 
 def row_from_json(row: dict[str, Any]) -> Fidelity:
-    """Inverse of `Fidelity.summary`, without `met` and `basis`."""
+    """Invert `Fidelity.summary`, without `met` and `basis`."""
     return Fidelity(
         (int(row["mesh"][0]), int(row["mesh"][1])),
         1e-3 * row["timestep_ms"],

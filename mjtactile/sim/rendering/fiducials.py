@@ -30,7 +30,7 @@ class FiducialRenderer:
 
     @classmethod
     def of(cls, design: SensorDesign) -> FiducialRenderer | None:
-        """Those of `design`; None where it has none."""
+        """Create the renderer of `design`; None without fiducials."""
         fiducials = design.fiducials
         if fiducials is None:
             return None
@@ -43,7 +43,7 @@ class FiducialRenderer:
 
 
 def _lip(design: SensorDesign, fiducials: Fiducials) -> tuple[Array, Array]:
-    """Outlines of the lip's inner face: the walls behind it, and the opening."""
+    """Return the outlines of the lip's inner face: the walls behind it, and the opening."""
     outline = design.frame.outline
     if outline is not None:
         at = (fiducials.step, 0.0)

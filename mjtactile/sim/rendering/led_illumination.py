@@ -12,7 +12,7 @@ from mjtactile.core.optics import Camera
 from mjtactile.core.types import Array
 
 BLOCK_PX = 16
-"""Block size for which the light is computed once; the error is below 0.05 DN."""
+"""Block size for which the light is computed once. The error is below 0.05 DN."""
 
 Floats = NDArray[np.float32]
 
@@ -59,7 +59,7 @@ class Light:
         self._asides = self._lateral_squared(self._xy)
 
     def field(self, p_SM: Array) -> Floats:
-        """Relative light (H, W) on a membrane with markers at `p_SM` (N, 3)."""
+        """Return the relative light (H, W) on a membrane with markers at `p_SM` (N, 3), m."""
         if self._even:
             return np.ones(self._size[::-1], np.float32)
         fraction = self._irradiance(self._asides, self._heights(p_SM)) / self._middle
@@ -69,7 +69,7 @@ class Light:
         )
 
     def at(self, p_SM: Array) -> Array:
-        """The same (N,) at the markers themselves."""
+        """Return the relative light (N,) at the markers."""
         if self._even:
             return np.ones(len(p_SM))
         fraction = self._irradiance(self._lateral_squared(p_SM[:, :2]), p_SM[:, 2]) / self._middle

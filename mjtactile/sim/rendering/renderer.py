@@ -59,7 +59,7 @@ class Renderer:
 
     `radius` m of the markers, one or one each, and `pose` R_SC (3, 3), p_SC (3,) m of the camera
     with its glass and LEDs default to the design's. With `shadows` the LEDs light the deformed
-    membrane, including shadows; all markers of the design must then be given.
+    membrane, including shadows. All markers of the design must then be given.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class Renderer:
     def irradiance_image(
         self, p_SM: ArrayLike, n_S: ArrayLike, *, effects: Effects = Effects()
     ) -> Floats:
-        """Grey levels (H, W) float32 before noise and rounding; see `render`."""
+        """Render gray levels (H, W), float32, before noise and rounding. See `render`."""
         blur = self.design.camera.blur_px if effects.blur_px is None else effects.blur_px
         p_SM = np.asarray(p_SM, dtype=float).reshape(-1, 3)
         n_S = np.asarray(n_S, dtype=float).reshape(-1, 3)

@@ -107,7 +107,7 @@ class ShadowedLight(Light):
         return self._grow(blocked)
 
     def _grow(self, blocks: Array | Floats) -> Floats:
-        """Values of blocks (nv, nu) as an image (H, W)."""
+        """Interpolate values of blocks (nv, nu) to an image (H, W)."""
         return cv2.resize(
             blocks.astype(np.float32, copy=False), self._size, interpolation=cv2.INTER_LINEAR
         )
@@ -216,7 +216,7 @@ def may_block(xy: Array, z: Array, p_SL: Array) -> bool:
 def clearance(xy: Array, z: Array, p_SL: Array, radius: float = LED_RADIUS) -> Array:
     """Return the clearance (n, ny, nx) of each LED's center over the membrane, in radii (Eq. L3).
 
-    At 1 and above the LED is fully visible; at -1 and below it is fully hidden.
+    At 1 and above the LED is fully visible. At -1 and below it is fully hidden.
     """
     to_x, to_y, down = _towards(xy, z, p_SL)
     across = np.hypot(to_x, to_y)
@@ -266,13 +266,14 @@ def bilinear(grid: Array, columns_rows: Array) -> Array:
 
 
 def _towards(xy: Array, z: Array, p_SL: Array) -> tuple[Array, Array, Array]:
-    """From each node to each LED: along x and y, and down (n, ny, nx) m."""
+    """Return the offsets (n, ny, nx), m, from each node to each LED: along x and y, and down."""
     to_x, to_y = (p_SL[:, i, None, None] - xy[..., i] for i in (0, 1))
     return to_x, to_y, z - p_SL[:, 2, None, None]
 
 
 def _rim(frame: Frame, spacing: float = 2.5e-3) -> Array:
-    """Points (n, 2) of the opening's edge, closer than the markers of any layout."""
+    """Return points (n, 2), m, on the opening's edge, closer together than the markers of any
+    layout."""
     if frame.outline is not None:
         longest = np.pi * np.hypot(frame.length, frame.width) / np.sqrt(2)
         return frame.outline.points(int(np.ceil(longest / spacing)))

@@ -143,7 +143,7 @@ class EllipseSampler:
         return inside & (self._radius > 0) & np.isfinite(shape).all(axis=1)
 
     def _bound(self, shape: Array, p_SM: Array) -> Array:
-        """Covariance (N, 5, 5) of (u, v, p, q, s), px^2."""
+        """Return the covariance (N, 5, 5) of (u, v, p, q, s), px^2."""
         camera = self.design.camera
         leds = self.design.leds
         contrast = (leds.membrane_dn - leds.marker_dn) * self._light.at(p_SM)

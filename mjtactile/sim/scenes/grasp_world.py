@@ -148,7 +148,7 @@ class GraspWorld(GripperWorld):
 
 
 def finger_designs(rig: SimRigFile, sensor: SensorDesign) -> tuple[SensorDesign, ...]:
-    """The sensor of each finger: the rig file's own, or `sensor`."""
+    """Return the sensor of each finger: the rig file's own, or `sensor`."""
     return tuple(
         sensor if finger.sensor is None else load_sensor(finger.sensor) for finger in rig.fingers
     )

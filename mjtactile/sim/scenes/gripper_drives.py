@@ -91,7 +91,7 @@ class ActuatorLift:
         return address, gear * self._ratio
 
     def affine(self) -> tuple[int, float, float]:
-        """The actuator, its control at height 0, and by m of height."""
+        """Return the actuator, its control at height 0, and the control per m of height."""
         zero, per_length = self._actuator.control
         return self._actuator.id, zero + per_length * self._start, per_length / self._ratio
 
@@ -196,7 +196,7 @@ class ArmLift(GripperHeight):
 
 
 class Jaws:
-    """All actuators that open and close; the opening is the sum of their parts.
+    """All actuators that open and close. The opening is the sum of their parts.
 
     For more than two fingers, the opening is twice the mean distance of the fingertips from the
     center. Each of n fingers closes with 2/n of the mean of the actuators' forces, by virtual work.

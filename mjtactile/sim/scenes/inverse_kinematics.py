@@ -23,7 +23,7 @@ _STEP = 0.3  # maximum motion of a joint per iteration, rad and m
 
 
 def solve(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condition]) -> float:
-    """Move `data.qpos` until `conditions` and equality constraints hold; return the largest
+    """Move `data.qpos` until `conditions` and equality constraints hold. Return the largest
     residual.
 
     A state that meets them is left as it is, to the bit.
@@ -44,7 +44,7 @@ def solve(model: mujoco.MjModel, data: mujoco.MjData, conditions: Sequence[Condi
 
 
 def actuator_at(actuator: PositionActuator, length: float) -> Condition:
-    """The actuator has this length."""
+    """Return the condition that the actuator has this length."""
 
     def condition(data: mujoco.MjData) -> tuple[Array, Array]:
         return np.array([length - data.actuator_length[actuator.id]]), actuator.moment(data)
@@ -72,7 +72,7 @@ def gripper_pose_at(
 
 
 def _equalities(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Residuals of the equality constraints, with their Jacobian."""
+    """Return the residuals of the equality constraints and their Jacobian."""
     rows = np.flatnonzero(data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
     dense = np.zeros((data.nefc, model.nv))
     if not len(rows):

@@ -76,7 +76,7 @@ class MaterialSample:
         return 2 * self.stiffening * force / (root - self.stiffness)
 
     def modulus(self, force: float) -> float:
-        """E = K L / A at that force, Pa."""
+        """Return the modulus E = K L / A at this force, Pa."""
         return self.secant_stiffness(force) * self.length / self.area
 
 
@@ -127,7 +127,7 @@ def to_mjcf(sample: MaterialSample, name: str, comment: str = "") -> str:
 
 
 def _rigid(s: MaterialSample) -> tuple[str, str]:
-    """One geom, the height of a cylinder along z."""
+    """Return the MJCF of one geom. The height of a cylinder is along z."""
     half = (s.length / 2, s.width / 2, s.height / 2)
     size = {
         "box": f"{half[0]:.6g} {half[1]:.6g} {half[2]:.6g}",

@@ -92,7 +92,7 @@ def _trial_outcome(path: Path, *_state: int) -> str:
 
 
 def main(path: str, seconds: str, memory: str) -> None:
-    """Read and compile the file in this process, with the limits; write the outcome to stdout.
+    """Read and compile the file in this process, with the limits. Write the outcome to stdout.
 
     Args:
         path: Path of the file.

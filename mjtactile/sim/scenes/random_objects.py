@@ -67,7 +67,7 @@ Rng = np.random.Generator
 
 
 def seed_of(name: str) -> int | None:
-    """The seed in "random:7"; None of any other name."""
+    """Return the seed in "random:7"; None for any other name."""
     digits = name.removeprefix(PREFIX)
     if name.startswith(PREFIX) and digits.isdecimal():
         return int(digits)
@@ -75,7 +75,7 @@ def seed_of(name: str) -> int | None:
 
 
 def object_text(name: str) -> str | None:
-    """The MJCF of "random:7"; None of any other name."""
+    """Return the MJCF of "random:7"; None for any other name."""
     seed = seed_of(name)
     return None if seed is None else to_mjcf(random_object(seed), "random")
 
@@ -143,7 +143,7 @@ def _log(rng: Rng, low: float, high: float) -> float:
 
 
 def to_mjcf(t: RandomObject, name: str) -> str:
-    """The object's file, in the format of docs/reference/object_files.md."""
+    """Return the object's file, in the format of docs/reference/object_files.md."""
     stand = max(_CLEAR - t.c, 0.0)
     radius = max(min(t.a, t.b) - _ASIDE, 4e-3)
     if stand:
@@ -243,7 +243,7 @@ def _build_box(t: RandomObject) -> Built:
 
 
 def _mesh(name: str, vertices: Array, colour: str, inertial: str) -> Built:
-    """The convex hull of `vertices` (N, 3) m."""
+    """Build the convex hull of `vertices` (N, 3), m."""
     text = "  ".join(_row(tuple(row)) for row in vertices)
     return (
         f'  <asset>\n    <mesh name="{name}" vertex="{text}"/>\n  </asset>\n',
@@ -290,7 +290,7 @@ def _build_bottle(t: RandomObject) -> Built:
 
 
 def _build_fruit(t: RandomObject) -> Built:
-    """Flesh in segments around a core, each on a radial spring, as the shipped strawberry's."""
+    """Build flesh segments around a core, each on a radial spring, as in the shipped strawberry."""
     stiffness = t.detail[0]
     shift = 0.4 * t.a
     size = (t.a - shift, 0.72 * t.a, t.c)

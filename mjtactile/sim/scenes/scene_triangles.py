@@ -43,7 +43,7 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class SceneView:
-    """Poses of all scene elements at one time; triangles are computed on demand.
+    """Poses of all scene elements at one time. Triangles are computed on demand.
 
     `p_WS` (s, 3) m and `R_WS` (s, 3, 3) are the poses of the sensors' frames. `state` is MuJoCo's
     (mjSTATE_INTEGRATION).
@@ -62,7 +62,7 @@ class SceneView:
 
     @classmethod
     def of(cls, world: World) -> SceneView:
-        """The scene as it is now; the world must not be moving."""
+        """Store the current scene. The world must be paused."""
         data = world.data
         bodies = [sensor.body_id for sensor in world.sensors]
         # contact spheres of a membrane
@@ -91,20 +91,21 @@ class SceneView:
         )
 
     def triangles(self) -> tuple[Array, Array]:
-        """Corners (n, 3, 3) m in W and colours (n, 4), red, green, blue, alpha from 0 to 1."""
+        """Return the corners (n, 3, 3), m, in W, and the colors (n, 4): red, green, blue, alpha, 0
+        to 1."""
         geoms = [(solid.points_W, solid.faces, solid.rgba) for solid in self.solids()]
         parts = [*geoms, *self._flexes()]
         corners = np.concatenate([points[faces] for points, faces, _ in parts])
         return corners, np.concatenate([np.tile(rgba, (len(faces), 1)) for _, faces, rgba in parts])
 
     def object_triangles(self) -> Array:
-        """Corners (n, 3, 3) m in W of the triangles of all but the membranes."""
+        """Return the triangle corners (n, 3, 3), m, in W, of everything except the membranes."""
         rigid = [solid.points_W[solid.faces] for solid in self.solids()]
         soft = [points[faces] for _, points, faces, _ in self.soft_bodies()]
         return np.concatenate([np.zeros((0, 3, 3)), *rigid, *soft])
 
     def solids(self) -> Iterator[Solid]:
-        """Every geom that is shown."""
+        """Yield all visible geoms."""
         model = self.model
         hidden = {geom for ids in self.hidden for geom in ids.tolist()}
         for geom in range(model.ngeom):

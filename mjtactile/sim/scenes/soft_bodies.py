@@ -80,7 +80,7 @@ def tetrahedra(body: SoftBody) -> tuple[Array, NDArray[np.int64]]:
 
 
 def tetrahedron_volumes(points: Array, elements: NDArray[np.int64]) -> Array:
-    """Volumes (m,) m^3 of tetrahedra; negative where the last corner is on the wrong side."""
+    """Return the volumes (m,), m^3, of tetrahedra; negative for inverted ones."""
     a, b, c, d = (points[elements[:, k]] for k in range(4))
     return np.einsum("ij,ij->i", b - a, np.cross(c - a, d - a)) / 6
 
@@ -104,13 +104,13 @@ def _block(grid: Array, body: SoftBody) -> Array:
 
 
 def _ball(grid: Array, body: SoftBody) -> Array:
-    """Shells of the cube to shells of the ellipsoid, by equal angles."""
+    """Map shells of the cube to shells of the ellipsoid, by equal angles."""
     direction, level = _directions(grid)
     return direction * level[:, None] * (np.array(body.half) - body.skin)
 
 
 def _thimble(grid: Array, body: SoftBody) -> Array:
-    """The cube's outer shells, those beyond a third, to the wall."""
+    """Map the cube's outer shells, those beyond a third, to the wall."""
     direction, level = _directions(grid)
     hollow = 2 * ((body.mesh // 3 + 1) // 2) / body.mesh  # the innermost shell that is kept
     depth = np.clip((1 - level) / (1 - hollow), 0.0, 1.0)[:, None]  # 0 outside, 1 inside
@@ -143,7 +143,7 @@ _SHAPES: dict[
 
 
 def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
-    """The object's file."""
+    """Return the object's file as MJCF."""
     limits = {
         "break_stress_kPa": 1e-3 * body.break_stress,
         "break_energy_kJ_m3": 1e-3 * body.break_energy,

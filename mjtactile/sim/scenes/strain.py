@@ -110,6 +110,6 @@ def soft_flex(model: mujoco.MjModel, prefix: str = "") -> int:
 
 
 def _edges(points: Array, elements: NDArray[np.int64]) -> Array:
-    """Edges (m, 3, 3) from each element's first corner, as columns."""
+    """Return the edges (m, 3, 3) from each element's first corner, as columns."""
     corners = points[elements]
     return (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)

@@ -20,7 +20,7 @@ from mjtactile.sim.sensor.sensor_types import AnySensor
 
 
 class World:
-    """Model and data of a scene with attached sensors; `step` raises SimulationError on
+    """Model and data of a scene with attached sensors. `step` raises SimulationError on
     divergence."""
 
     def __init__(
@@ -142,7 +142,7 @@ class World:
         """Hook: `batches` has."""
 
     def after_each_step(self, call: Callable[[], None]) -> None:
-        """From now on, `call()` after every step."""
+        """Register `call()` to run after every later step."""
         self._after_step.append(call)
 
     def after_each_step_batch(
@@ -150,7 +150,7 @@ class World:
     ) -> None:
         """Register `call` to run after every batch of steps, at least every 20 ms.
 
-        `due` returns the latest time of the next call, s; it is evaluated before each batch.
+        `due` returns the latest time of the next call, s. It is evaluated before each batch.
         """
         self._after_step_batch.append(call)
         if due is not None:

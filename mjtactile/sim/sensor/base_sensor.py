@@ -142,7 +142,7 @@ class BaseSensor(NotCopyable, ABC):
         self._gas.puncture(conductance)
 
     def warm(self, rate: float) -> None:
-        """From now on, gas and walls get warmer by `rate` K/s."""
+        """Warm gas and walls by `rate`, K/s, from now on."""
         self.wake()
         self._gas.warm(rate)
 
@@ -158,7 +158,7 @@ class BaseSensor(NotCopyable, ABC):
 
 
 def require(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> int:
-    """Return the id of a sensor element in its model; raise InputError if it is missing."""
+    """Return the id of a sensor element in its model. Raise InputError if it is missing."""
     found = mujoco.mj_name2id(model, kind, name)
     if found < 0:
         raise InputError(

@@ -82,7 +82,7 @@ def _overlaps(
 
 
 def exclude(model: mujoco.MjModel, geoms: NDArray[np.int64]) -> None:
-    """Switch off the contacts of `geoms`; the sensor's housing is in their place."""
+    """Switch off the contacts of `geoms`. The sensor's housing is in their place."""
     model.geom_contype[geoms] = 0
     model.geom_conaffinity[geoms] = 0
 

@@ -52,7 +52,7 @@ class GasTendon:
     """Pressure and gas stiffness of one chamber in a compiled model, written before every step."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, tendon_id: int, count: int):
-        """Connect to the tendon of `count` vertices; the model states 0 while a sensor sleeps."""
+        """Connect to the tendon of `count` vertices. The model states 0 while a sensor sleeps."""
         self._model = model
         self._tendon = tendon_id
         start = int(model.tendon_adr[tendon_id])
@@ -76,7 +76,7 @@ class GasTendon:
         self._apply = bound("apply_gas_load", *vertices, ..., ..., *results)
 
     def apply(self, gauge_pressure: float, stiffness: float, gradient: Array) -> None:
-        """Apply the pressure and its change in the step; `gradient` (k, 3) is dV/dq.
+        """Apply the pressure and its change in the step. `gradient` (k, 3) is dV/dq.
 
         The tendon's spring supplies the change. It is relaxed at the current state and holds the
         *implicit* part only: f = p - k (V' - V). MuJoCo leaves out the stiffness of a spring at

@@ -52,8 +52,8 @@ class Cells(NamedTuple):
         return Cells(self.positions[rows], self.axes, self.sizes[rows])
 
     def gaps(self, entry: ray_intersection.Entry, shifts: Array) -> Array:
-        """Distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) from the
-        vertices."""
+        """Return the distances (k, s), in cells, outward to the shape at `shifts` (k, s, 2) from
+        the vertices."""
         points = (
             self.positions[:, None] + self.sizes[:, None, None] * (shifts @ self.axes[:2])
         ).reshape(-1, 3)

@@ -46,7 +46,8 @@ def near_geoms(
 def forces(
     data: mujoco.MjData, rows: NDArray[np.int64], sides: NDArray[np.bool_], R_WS: Array
 ) -> Array:
-    """Forces (n, 3) N in S that the contacts `rows` (n,) exert on those of their `sides` (n, 2)."""
+    """Return the forces (n, 3), N, in S that the contacts `rows` (n,) exert on their `sides` (n,
+    2)."""
     contact = data.contact
     address = contact.efc_address[rows]
     dim = contact.dim[rows]
@@ -62,7 +63,8 @@ def forces(
 
 
 def membrane_wrench(data: mujoco.MjData, sensor: AnySensor) -> Array:
-    """Force, N, and torque about the origin of S, N m, (6,) on the membrane, frame S."""
+    """Return the wrench (6,) on the membrane, frame S: force, N, and torque about the origin of S,
+    N m."""
     if isinstance(sensor, QuasistaticSensor):
         return sensor.wrench
     R_WS = data.xmat[sensor.body_id].reshape(3, 3)

@@ -76,7 +76,7 @@ class ContactPoints:
         mesh: MembraneMesh,
         stiffness: float,
     ):
-        """Create the contact points; `stiffness` is E h of the membrane, N/m."""
+        """Create the contact points. `stiffness` is E h of the membrane, N/m."""
         self._model = model
         self._data = data
         self._body = body_id
@@ -118,7 +118,7 @@ class ContactPoints:
         self._upright = self._normals(mesh.p_SV)
 
     def update(self, p_SV: Array, tensions: Callable[[], Array], gauge_pressure: float) -> None:
-        """Follow the objects near the vertices at `p_SV` (n, 3) m; `tensions` returns (n,) N/m."""
+        """Follow the objects near the vertices at `p_SV` (n, 3) m. `tensions` returns (n,) N/m."""
         time = float(self._data.time)
         elapsed = time - self._time
         if not self._shapes or 0 <= elapsed < self._every:

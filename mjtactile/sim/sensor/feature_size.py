@@ -72,7 +72,8 @@ def name_of(model: mujoco.MjModel, geom: int) -> str:
 def box_distances(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, points: Array
 ) -> NDArray[np.float64]:
-    """Distances (n,) m of `points` (n, 3) m, frame W, from the box around a geom; 0 inside."""
+    """Return the distances (n,), m, of `points` (n, 3), m, in W, from the bounding box of a geom; 0
+    inside."""
     box = model.geom_aabb[geom]
     local = (points - data.geom_xpos[geom]) @ data.geom_xmat[geom].reshape(3, 3) - box[:3]
     return np.linalg.norm(np.maximum(np.abs(local) - box[3:], 0.0), axis=1)

@@ -19,7 +19,7 @@ _WARM = 1e-4
 
 
 class ChamberGas:
-    """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s; "gauge" means above ambient.
+    """Gas of one chamber. Pressures in Pa, volumes in m^3, time in s. "gauge" means above ambient.
 
     With an ideal valve (infinite conductance, the default) the open chamber is at the supply's
     pressure at once. With a finite one the gas flows at `conductance` x pressure difference.
@@ -126,7 +126,7 @@ class ChamberGas:
         self._find_connections()
 
     def warm(self, rate: float) -> None:
-        """From now on, gas and walls get warmer by `rate` K/s."""
+        """Warm gas and walls by `rate`, K/s, from now on."""
         self._warming = rate
 
     def advance(self, volume: float, elapsed: float) -> None:
@@ -151,7 +151,7 @@ class ChamberGas:
             self._pressure = self._amount * self._temperature / volume
 
     def at(self, volume: float, elapsed: float) -> ChamberGas:
-        """The gas as `advance` would leave it, while this one stays as it is."""
+        """Return the gas after `advance`, and leave this one unchanged."""
         other = object.__new__(type(self))  # copy.copy takes ten times as long
         other.__dict__.update(self.__dict__)
         other.advance(volume, elapsed)
@@ -189,8 +189,8 @@ class ChamberGas:
             self._amount = self._pressure * self._volume / self._temperature
 
     def _compress(self, volume: float, elapsed: float) -> None:
-        """dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau, at a constant relative rate (Eq.
-        G4)."""
+        """Integrate dT/dt = -(gamma - 1) T (dV/dt)/V + (T_wall - T)/tau at a constant relative rate
+        (Eq. G4)."""
         exchange = elapsed / self._chamber.heat_exchange
         decay = (self._chamber.polytropic_exponent - 1) * math.log(volume / self._volume) + exchange
         self._temperature = self._temperature * math.exp(

@@ -155,7 +155,8 @@ def membrane_stiffness(membrane: Membrane) -> float:
 
 
 def contact_pressure(membrane: Membrane, gauge_pressure: float) -> float:
-    """A typical pressure under a contact, Pa: tension over a radius of about 10 mm, and the gas."""
+    """Estimate a typical contact pressure, Pa: tension over a radius of about 10 mm, plus the
+    gas."""
     return membrane_stiffness(membrane) / 0.04 + GAS_FRACTION * abs(gauge_pressure)
 
 

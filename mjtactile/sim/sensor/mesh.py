@@ -24,7 +24,7 @@ surface."""
 
 @dataclass(frozen=True, eq=False)
 class MembraneMesh:
-    """Structured triangle mesh of the flat, mounted membrane; vertex (i, j) has index i * ny + j.
+    """Structured triangle mesh of the flat, mounted membrane. Vertex (i, j) has index i * ny + j.
 
     `p_SV` (n, 3) m are the vertices. `triangles` (m, 3) are counter-clockwise viewed from outside
     (+z). `interior` (k,) are the indices of the moving vertices. `areas` (n,) m^2 is the membrane
@@ -143,7 +143,8 @@ class MarkerInterpolator:
     """
 
     def __init__(self, mesh: MembraneMesh, p_SM: Array):
-        """`p_SM` (N, 3) m: marker centres on the flat, mounted membrane."""
+        """Create the interpolation to marker centers `p_SM` (N, 3), m, on the flat, mounted
+        membrane."""
         at = mesh.coordinates(p_SM)
         value_x, slope_x = interpolating(mesh.knots[0], at[:, 0])
         value_y, slope_y = interpolating(mesh.knots[1], at[:, 1])

@@ -321,7 +321,7 @@ class TactileSensor(BaseSensor):
 
 
 def _vertex_geoms(model: mujoco.MjModel, mesh: MembraneMesh, prefix: str) -> NDArray[np.int64]:
-    """The contact spheres of the mesh's interior vertices."""
+    """Return the ids of the contact spheres of the mesh's interior vertices."""
     names = [f"{prefix}v{v}" for v in mesh.interior]
     return np.array([require(model, mujoco.mjtObj.mjOBJ_GEOM, name) for name in names])
 

@@ -151,7 +151,7 @@ class QuasistaticGas:
         return bool(self._live.settings[_SEALED])
 
     def _seal(self) -> None:
-        """From now on the gas stays in."""
+        """Seal the gas from now on."""
         gas = self._gas
         stiffness = gas.stiffness(self._timestep)
         absolute = gas.gauge_pressure + gas.ambient

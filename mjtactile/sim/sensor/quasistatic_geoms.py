@@ -22,7 +22,7 @@ _CLOSE = 1e-9  # tolerance, m
 
 
 def add_feeler(body: mujoco.MjsBody, design: SensorDesign) -> None:
-    """Add the geom of a sensor without a mesh; it measures distances and makes no contacts."""
+    """Add the geom of a sensor without a mesh. It measures distances and makes no contacts."""
     body.add_geom(
         name=FEELER,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,

@@ -44,7 +44,7 @@ _TIME = 6
 
 
 class QuasistaticSensor(BaseSensor):
-    """Run time of one sensor without a mesh; it has the properties of `TactileSensor`."""
+    """Run time of one sensor without a mesh. It has the properties of `TactileSensor`."""
 
     contact = "quasistatic"
 
@@ -57,7 +57,7 @@ class QuasistaticSensor(BaseSensor):
         prefix: str,
         effects: frozenset[str],
     ):
-        """Bind the sensor to model and data; `mesh` has the resolution of the membrane.
+        """Bind the sensor to model and data. `mesh` has the resolution of the membrane.
 
         Raises InputError for a scene that a quasi-static membrane does not support.
         """

@@ -14,7 +14,7 @@ import numpy as np
 from mjtactile.core.types import Array
 
 MAX_FACES = 400
-"""Maximum face count of a mesh's hull; more are smooth at the membrane's vertex spacing."""
+"""Maximum face count of a mesh's hull. More are smooth at the membrane's vertex spacing."""
 MISSED = np.inf
 _TINY = 1e-12
 _BOX, _SPHERE, _ELLIPSOID, _CYLINDER, _CAPSULE, _MESH = (

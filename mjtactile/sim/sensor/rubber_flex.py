@@ -28,7 +28,7 @@ from mjtactile.kernels import bound
 from mjtactile.sim.sensor.mesh import MembraneMesh
 
 _ROW = 21
-"""Number of values per triangle in `flex_stiffness`; six are the upper triangle of its matrix."""
+"""Number of values per triangle in `flex_stiffness`. Six are the upper triangle of its matrix."""
 _UPPER = np.triu_indices(3)
 # lambda' in mu' and in the unstrained one: where tr E vanishes and E does not, it has no limit
 _MIN_LAMBDA = -0.5
@@ -64,7 +64,7 @@ def stiffness_rows(model: mujoco.MjModel, flex_id: int) -> Array:
 
 
 def all_rows(model: mujoco.MjModel, flex_id: int) -> Array:
-    """A live view (m, 21) of all that the flex keeps of a triangle."""
+    """Return a live view (m, 21) of all stored parameters of each triangle."""
     start = int(model.flex_stiffnessadr[flex_id])
     count = int(model.flex_elemnum[flex_id])
     return np.asarray(model.flex_stiffness)[start : start + _ROW * count].reshape(count, _ROW)

@@ -1,4 +1,4 @@
-"""Geoms that are small or sharp relative to a sensor's mesh; contact spheres follow their shape."""
+"""Geoms that are small or sharp relative to a sensor's mesh. Contact spheres follow their shape."""
 
 from __future__ import annotations
 

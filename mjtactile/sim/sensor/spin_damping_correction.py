@@ -68,7 +68,7 @@ class SpinCorrection:
             self._give(np.zeros(3))
 
     def resistance(self, p_SV: Array) -> Array:
-        """Q (3, 3) N m in S."""
+        """Return Q (3, 3), N m, in S."""
         ends = self._elements.ends[self._elements.edges]
         xx, xy, xz, yy, yz, zz = self._rows.T
         edges = p_SV[ends[..., 1]] - p_SV[ends[..., 0]]  # shape (m, 3, 3)
@@ -85,7 +85,7 @@ class SpinCorrection:
         return np.vdot(force, lengths2) * np.eye(3) - (flat * force.reshape(-1, 1)).T @ flat
 
     def _give(self, torque: Array) -> None:
-        """Others may have written torques of their own: change by the difference."""
+        """Apply the change of the torque, so that torques of other sources remain."""
         self._data.xfrc_applied[self._body, 3:] += torque - self._given
         self._given = torque
         self._gives = bool(torque.any())

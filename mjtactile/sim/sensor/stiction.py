@@ -103,7 +103,7 @@ class Stiction:
         self._forget()
 
     def update(self, stand_off: Array) -> None:
-        """Store the contact forces of the last step; `stand_off` (k,) m is the intended
+        """Store the contact forces of the last step. `stand_off` (k,) m is the intended
         distance."""
         time = float(self._data.time)
         before = self._time
@@ -130,7 +130,7 @@ class Stiction:
         self._travel[:] = 0.0
 
     def _take(self) -> bool:
-        """Advance margins and surface velocities from the last contacts; return True if any
+        """Advance margins and surface velocities from the last contacts. Return True if any
         exist."""
         data = self._data
         velocity = np.empty(data.nefc)

@@ -28,9 +28,9 @@ _TINY = 1e-12
 
 
 def profile(near: Array, far: Array, radii: tuple[float, float]) -> tuple[Array, Array]:
-    """Slopes and curvatures, not negative, of the shape that rises by `near` and `far` at distances
-    `radii` along each line: rise = slope r + curvature r^2/4, the curvature being the sum of a
-    ball's two."""
+    """Return slopes and curvatures, not negative, of a shape that rises by `near` and `far` at
+    distances `radii` along each line. rise = slope r + curvature r^2/4. The curvature is the sum of
+    a sphere's two principal curvatures."""
     first, last = radii
     curvature = 4 * (far / last - near / first) / (last - first)
     slope = near / first - curvature * first / 4

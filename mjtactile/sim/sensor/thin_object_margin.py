@@ -66,7 +66,7 @@ class ThinObjectMargin:
             self._model.flex_margin[self._flex] = self.skin + margin
 
     def _closing_speed(self, geom: int, p_SV: Array) -> float:
-        """Speed, m/s, at which a geom that is near comes towards the glass; 0 for all others."""
+        """Return the speed, m/s, at which a near geom approaches the glass; 0 for all others."""
         data = self._data
         R_WS = data.xmat[self._body].reshape(3, 3)
         p_WS = data.xpos[self._body]

@@ -56,7 +56,8 @@ class CorePoints:
 
 
 def _heights(triangles: Array, positions: Array) -> Array:
-    """Heights (n,) m of `triangles` (m, 3, 3) m over `positions` (n, 2) m; -inf outside of them."""
+    """Return the heights (n,), m, of `triangles` (m, 3, 3), m, over `positions` (n, 2), m; -inf
+    outside."""
     a, b, c = triangles.transpose(1, 0, 2)
     u = b - a
     v = c - a

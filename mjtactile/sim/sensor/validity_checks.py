@@ -81,7 +81,7 @@ def membrane_flags(
 ) -> Reasons:
     """Return flags for stretch and compression of a membrane's present state.
 
-    `stretches` (m, 2) are relative to the free membrane; `areas` (m,) m^2 are the triangles'.
+    `stretches` (m, 2) are relative to the free membrane. `areas` (m,) m^2 are the triangles'.
     """
     flags: Reasons = {}
     membrane = design.membrane

@@ -37,7 +37,7 @@ def rolling(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def smeared(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Light that leaks along columns."""
+    """Add light that leaks along columns."""
     columns = shot.fixed.uniform(0.15, 0.85, _SMEARS) * pixels.shape[1]
     u = np.arange(pixels.shape[1])
     light = np.exp(-0.5 * ((u - columns[:, None]) / _SMEAR_WIDTH) ** 2).sum(axis=0)
@@ -45,7 +45,7 @@ def smeared(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def with_hot_pixels(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Half of them are white, half black."""
+    """Set random pixels to white or black, half each on average."""
     rng = shot.fixed
     changed = pixels.copy()
     indices = rng.choice(pixels.size, min(round(t.hot_pixels), pixels.size), replace=False)
@@ -54,7 +54,7 @@ def with_hot_pixels(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floa
 
 
 def with_dead_rows(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Black."""
+    """Set random rows to black."""
     changed = pixels.copy()
     rows = round(t.dead_rows)
     changed[shot.fixed.choice(pixels.shape[0], min(rows, pixels.shape[0]), replace=False)] = 0
@@ -97,13 +97,13 @@ def sharpened(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def by_gamma(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Level = light^(1/gamma), black and white as they were."""
+    """Set each level to light^(1/gamma), with unchanged black and white."""
     light = np.maximum(pixels, 0) / 255
     return np.asarray(255 * light ** np.float32(1 / t.gamma), np.float32)
 
 
 def clipped(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Everything below a level is black, above another one white; between them as it was."""
+    """Clip the levels to the range from `black` to `white`."""
     inside = (pixels > t.black) & (pixels < t.white)
     return np.where(inside, pixels, np.where(pixels <= t.black, t.black, t.white)).astype(
         np.float32
@@ -111,13 +111,13 @@ def clipped(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def coarse(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """So many bits a level."""
+    """Quantize the levels to `bits` bits."""
     step = 2.0 ** (8 - round(t.bits))
     return np.asarray(np.floor(pixels / step) * step + (step - 1) / 2, np.float32)
 
 
 def studio_range(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """To 219 levels and back."""
+    """Convert to the 219 levels of video range and back."""
     low, span = _STUDIO
     if t.yuyv < 0.5:
         return pixels

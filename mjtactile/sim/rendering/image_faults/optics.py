@@ -76,17 +76,17 @@ def placed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def defocused(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """A Gaussian of that sd."""
+    """Blur with a Gaussian of standard deviation `defocus`, px."""
     return _floats(cv2.GaussianBlur(pixels, (0, 0), t.defocus))
 
 
 def fogged(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Part of the light comes from everywhere."""
+    """Replace a fraction of the light by uniform light."""
     return (1 - t.fog) * pixels + t.fog * _FOG_DN
 
 
 def dusty(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Discs that take light, anywhere but at the very border."""
+    """Add discs that absorb light, away from the image border."""
     key = (round(t.dust), t.dust_radius, int(shot.fixed.integers(2**31)))
     return _floats(pixels * (1 - t.dust_darkness * _specks(pixels.shape, *key)))
 
@@ -98,7 +98,7 @@ def scratched(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 
 def fingerprinted(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Within a fingertip grease blurs, and its ridges take light."""
+    """Add a fingerprint, whose grease blurs and whose ridges absorb light."""
     tip, ridges = _fingertip(pixels.shape, int(shot.fixed.integers(2**31)))
     greasy = cv2.GaussianBlur(pixels, (0, 0), _GREASE_BLUR)
     fraction = t.fingerprint * tip
@@ -106,14 +106,14 @@ def fingerprinted(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats
 
 
 def lit_aside(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """So much more light at the right border than at the left one."""
+    """Increase the light linearly from the left to the right border, by `gradient` in total."""
     return pixels * np.linspace(1 - t.gradient / 2, 1 + t.gradient / 2, pixels.shape[1]).astype(
         np.float32
     )
 
 
 def flickering(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
-    """Light that swings while the rows are read."""
+    """Modulate the light by a sine over time while the rows are read."""
     height = pixels.shape[0]
     phase = t.flicker_rate * shot.time + _BANDS * np.arange(height) / height
     swing = 1 + t.flicker * np.sin(2 * np.pi * phase)
