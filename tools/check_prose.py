@@ -20,6 +20,7 @@ from pathlib import Path
 
 LIMITS = {
     "docstrings that start with a clause, %": 0.2,
+    "function docstrings that do not start with an imperative verb, %": 100.0,
     "docstring sentence, mean words": 11.3,
     "'what' per 10 000 words of code text": 1.0,
     "words to avoid per 10 000 words of code text": 2.0,
@@ -41,6 +42,8 @@ AVOID = re.compile(
     re.IGNORECASE,
 )
 """Words and phrases with a standard replacement in the table of CONTRIBUTING."""
+VERBS = frozenset(Path(__file__).with_name("docstring_verbs.txt").read_text("utf-8").split())
+"""First words of function docstrings. Add a verb if none of these fits."""
 _HEADING = re.compile(r"\s*(Args|Returns|Raises|Attributes|Yields|Notes?|Examples?)\s*:?\s*$")
 _LIST_ITEM = re.compile(r"\s*([-*+]|\d+\.) ")
 _NOT_PROSE = re.compile(r"\s*(#|\||[-=]{3,}\s*$)")
@@ -52,6 +55,8 @@ class Text:
 
     first: list[tuple[str, str]] = field(default_factory=list)
     """The first sentence of each docstring."""
+    functions: list[tuple[str, str]] = field(default_factory=list)
+    """The docstring of each function that is not a property."""
     sentences: list[tuple[str, str]] = field(default_factory=list)
     comments: list[str] = field(default_factory=list)
     paragraphs: list[str] = field(default_factory=list)
@@ -82,7 +87,9 @@ def read_code(folder: Path) -> Text:
     text = Text()
     for path in sorted(folder.rglob("*.py")):
         source = path.read_text(encoding="utf-8")
-        for line, docstring in _docstrings(ast.parse(source)):
+        tree = ast.parse(source)
+        text.functions += [(f"{path}:{line}", each) for line, each in _functions(tree)]
+        for line, docstring in _docstrings(tree):
             found = [(f"{path}:{line}", each) for each in split_sentences(_prose(docstring))]
             text.sentences += found
             text.first += found[:1]
@@ -101,6 +108,20 @@ def _docstrings(tree: ast.AST) -> Iterator[tuple[int, str]]:
             value = item.value if isinstance(item, ast.Expr) else None
             if isinstance(value, ast.Constant) and isinstance(value.value, str):
                 yield item.lineno, inspect.cleandoc(value.value)
+
+
+def _functions(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield line and docstring of every function that is not a property."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            decorators = " ".join(map(ast.unparse, node.decorator_list))
+            if (docstring := ast.get_docstring(node)) and "property" not in decorators:
+                yield node.body[0].lineno, docstring
+
+
+def is_imperative(docstring: str) -> bool:
+    """Return True if a docstring starts with one of `VERBS`."""
+    return docstring.split(maxsplit=1)[0].rstrip(",.:;") in VERBS
 
 
 def _prose(docstring: str) -> str:
@@ -146,6 +167,7 @@ def measure(code: Text, pages: Text, records: Text) -> dict[str, float]:
     clauses = [bool(CLAUSE.match(each)) for _, each in code.first]
     values = (
         100 * _mean(clauses),
+        100 * _mean([not is_imperative(each) for _, each in code.functions]),
         _mean([words(each) for _, each in code.sentences]),
         _rate(re.compile(r"\bwhat\b", re.IGNORECASE), prose),
         _rate(AVOID, prose),
@@ -171,13 +193,17 @@ def _rate(pattern: re.Pattern[str], text: str) -> float:
 
 
 def worst(code: Text, pages: Text, count: int) -> list[tuple[str, str]]:
-    """Return the sentences with most words to avoid, clause starts and excess length."""
+    """Return the sentences with most words to avoid, wrong first words and excess length."""
+    no_verb = {place for place, docstring in code.functions if not is_imperative(docstring)}
+    starts = {row for row in code.first if row[0] in no_verb}
 
-    def score(sentence: str) -> float:
+    def score(row: tuple[str, str]) -> float:
+        sentence = row[1]
         excess = max(words(sentence) - 25, 0) / 10
-        return len(AVOID.findall(sentence)) + excess + 2 * bool(CLAUSE.match(sentence))
+        start = bool(CLAUSE.match(sentence)) or row in starts
+        return len(AVOID.findall(sentence)) + excess + 2 * start
 
-    return sorted([*code.sentences, *pages.sentences], key=lambda row: -score(row[1]))[:count]
+    return sorted([*code.sentences, *pages.sentences], key=score, reverse=True)[:count]
 
 
 def main() -> int:
@@ -195,7 +221,7 @@ def main() -> int:
     if above or options.worst:
         for name, value in values.items():
             mark = "  above its limit" if name in above else ""
-            print(f"{name:52} {value:8.1f}   at most {LIMITS[name]:g}{mark}")
+            print(f"{name:64} {value:8.1f}   at most {LIMITS[name]:g}{mark}")
     for place, sentence in worst(code, documents, options.worst):
         print(f"\n{place}\n    {sentence}")
     return 1 if above else 0

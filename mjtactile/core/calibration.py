@@ -84,7 +84,7 @@ class Calibration:
 
     @validated()
     def part(self, kind: str) -> Part | None:
-        """Look up one part.
+        """Return one part.
 
         Args:
             kind: One of "lens", "frame", "valve", "force".
@@ -114,7 +114,7 @@ class Calibration:
 
     @validated()
     def with_refusal(self, kind: str, reasons: Sequence[str]) -> Calibration:
-        """Note that a part was refused now; a good one stays.
+        """Record the refusal of a part now. A valid part stays.
 
         Args:
             kind: Which part.
@@ -127,7 +127,7 @@ class Calibration:
 
     @validated()
     def used(self, design: SensorDesign) -> Calibration:
-        """Leave out the outdated parts, for use in a sensing pipeline.
+        """Remove the outdated parts, for use in a sensing pipeline.
 
         Args:
             design: The current sensor file.
@@ -203,7 +203,7 @@ class Calibration:
 
     @validated()
     def check(self, design: SensorDesign, finger: str, source: object) -> None:
-        """See that this calibration belongs to a finger and its sensor.
+        """Check that this calibration belongs to a finger and its sensor.
 
         Args:
             design: The finger's sensor.

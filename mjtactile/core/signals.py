@@ -128,8 +128,7 @@ def listening(*, ends_process: bool = False) -> Iterator[Stop]:
 
 @contextlib.contextmanager
 def deferred() -> Iterator[Stop]:
-    """Note signals within this block instead of raising: for as long as anything is connected. See
-    `Stop.defer`."""
+    """Defer signals within this block, while devices are connected. See `Stop.defer`."""
     with listening() as stop, stop.defer():
         yield stop
 

@@ -23,7 +23,7 @@ class DecimatedHistory:
         self._seen = 0
 
     def add(self, cycle: Seen, view: Any = None) -> None:
-        """Take a cycle, or pass it over."""
+        """Add a cycle or skip it."""
         if not self._seen:
             size = sum(image.pixels.nbytes for image in cycle.images)
             self._maximum = max(4, min(self._maximum, 2 * int(_ROOM / 2 / max(size, 1))))

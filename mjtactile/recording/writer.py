@@ -109,7 +109,7 @@ class Recorder(Observer):
         self.close()
 
     def start(self, session: Any) -> None:
-        """Note how long this world waits for a disk that is behind: a real one does not.
+        """Set the time that this world waits for a slow disk. A real one does not wait.
 
         Args:
             session: The `Session`.

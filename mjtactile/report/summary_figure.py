@@ -309,7 +309,7 @@ def _plot_break_force(axes: Any, force: Any, top: float) -> float:
 
 
 def _shade_phases(axes: Any, recording: Recording) -> None:
-    """Colour the time of each phase and write its name above it."""
+    """Shade the time of each phase and write its name above it."""
     duration = recording.columns["time"][-1] - recording.columns["time"][0]
     for name, start, end in recording.phases():
         if name == "done":

@@ -53,7 +53,7 @@ class Finger:
 
     @validated(gauge_pressure=FINITE)
     def regulate_pressure(self, gauge_pressure: float | None) -> None:
-        """Have the valve keep the chamber at a pressure.
+        """Command the valve to regulate the chamber pressure.
 
         Args:
             gauge_pressure: Pa; the gauge's zero is added to it. None: seal the chamber as it is.

@@ -62,7 +62,7 @@ class Valve(Protocol):
         ...
 
     def regulate_pressure(self, gauge_pressure: float | None) -> None:
-        """Keep the chamber at a pressure sensor reading of `gauge_pressure`, Pa, from now on.
+        """Regulate the chamber to a pressure sensor reading of `gauge_pressure`, Pa, from now on.
 
         None stops this and seals the chamber. The call does not wait. It is used only on rigs whose
         `CommandLimits` have a pressure.
@@ -77,8 +77,8 @@ class Clock(Protocol):
     def now(self) -> float: ...
 
     def advance_towards(self, time: float) -> None:
-        """Let a simulated world advance towards `time` while the caller computes. On a real rig
-        the call has no effect."""
+        """Advance a simulated world towards `time` while the caller computes. On a real rig the
+        call has no effect."""
         ...
 
     def wait_until(self, time: float) -> None: ...

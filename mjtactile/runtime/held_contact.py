@@ -30,7 +30,7 @@ class HeldContacts:
         self._held: list[Touch | None] = []
 
     def add(self, cycle: Cycle) -> None:
-        """Keep the touches of a cycle that are informative."""
+        """Store the informative touches of a cycle."""
         if len(self._loads) != len(cycle.touch):
             self._loads = [[] for _ in cycle.touch]
             self._held = [None for _ in cycle.touch]

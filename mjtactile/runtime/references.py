@@ -38,7 +38,7 @@ class ReferenceImages:
 def take_references(
     fingers: Sequence[Finger], clock: Clock, notify: Callable[[str], None] = lambda _: None
 ) -> Iterator[ReferenceImages]:
-    """Bring the membranes into each of their two reference states and take images there.
+    """Set the membranes to each of their two reference states and take images there.
 
     Yield "flat", then "rest". The second state starts after the caller has processed the first. A
     sensor that fails its flat reference is therefore not inflated. `say` receives messages about

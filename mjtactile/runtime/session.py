@@ -138,7 +138,7 @@ class Session:
             self._zero(reference)
 
     def _zero(self, reference: ReferenceImages) -> None:
-        """Take the reference of each sensing pipeline from its own images."""
+        """Measure the reference of each sensing pipeline from its own images."""
         pressures = iter(reference.gauge_pressure)
         for finger, perception, images in zip(
             self.rig.fingers, self.perceptions, reference.images, strict=True

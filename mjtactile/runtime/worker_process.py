@@ -137,7 +137,7 @@ class Channel:
         self._end.sendall(b"".join([_NUMBER.pack(length), *parts]))
 
     def _lend(self, arrays: Sequence[memoryview]) -> bool:
-        """Put the arrays into the memory that the other end sees, if there is any and they fit."""
+        """Copy the arrays to the shared memory. Return False without one, or if they do not fit."""
         if self._lent is None or sum(map(_even, (a.nbytes for a in arrays))) > len(self._lent):
             return False
         start = 0

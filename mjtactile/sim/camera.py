@@ -73,7 +73,7 @@ class SimCamera:
         self._rendered = None
 
     def capture(self) -> None:
-        """Have the image of the membrane now ready for `read`."""
+        """Render the current image of the membrane for `read`."""
         sensor = self._sensor
         if self._sampler is not None:
             mid_exposure = 0.5 * _EXPOSURE if self._moving else 0.0

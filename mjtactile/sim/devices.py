@@ -67,7 +67,7 @@ class SimClock:
         self._pending.clear()
 
     def defer(self, action: Callable[[], None]) -> None:
-        """Do `action` now, or when the world has stopped moving."""
+        """Run `action` now, or after the world has stopped moving."""
         if self._running is None:
             action()
         else:

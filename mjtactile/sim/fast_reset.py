@@ -39,7 +39,7 @@ class Snapshot:
             self._keep(item)
 
     def restore(self) -> None:
-        """Go back to it; the world must not be moving."""
+        """Restore the stored state. The world must be paused."""
         mujoco.mj_copyData(self._world.data, self._world.model, self._data)
         for undo in self._undo:
             undo()

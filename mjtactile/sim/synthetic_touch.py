@@ -107,7 +107,7 @@ class SyntheticTouchSource:
         self._sampled = None
 
     def capture(self) -> None:
-        """Have the touch of now ready for `read`."""
+        """Compute the current touch for `read`."""
         self._sampled = SyntheticTouch.of(self._touch())
 
     def read(self) -> SyntheticTouch:

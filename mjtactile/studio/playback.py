@@ -51,7 +51,7 @@ class RecordingPlayer(SessionBridge):
     # called by the session's thread
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        """Keep a cycle without its images: the recording has them."""
+        """Store a cycle without its images, which are in the recording."""
         cycle_index = len(self._snapshots)
         if cycle_index < len(self._true):
             true = {"force_normal_true": self._true[cycle_index].tolist()}

@@ -195,7 +195,7 @@ class SessionBridge(Observer):
             self.session.make_safe(RED_BUTTON)
 
     def again(self, scenario: Scenario) -> None:
-        """End this run as it is, and begin another."""
+        """Abort this run and start another."""
         self.scenario = scenario
         self.restart.set()
 

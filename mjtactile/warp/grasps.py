@@ -178,7 +178,7 @@ class Grasps:
             self._observe(0.0)
 
     def step(self, actions: Any) -> None:
-        """Do one control step with `actions` (worlds, 3) in [-1, 1], on the device."""
+        """Run one control step with `actions` (worlds, 3) in [-1, 1], on the device."""
         with wp.ScopedDevice(self.device):
             wp.launch(
                 command_all,
@@ -326,7 +326,7 @@ class Grasps:
         )
 
     def _seed_generators(self, seed: int) -> None:
-        """Give each world and sensor its own generator: no stream is used twice."""
+        """Create a separate random generator for each world and sensor. No stream is used twice."""
         streams = np.random.SeedSequence(seed).generate_state(self.worlds * (1 + self.fingers))
         self._commands.random = wp.array(streams[: self.worlds], dtype=wp.uint32)
         self._estimates.random = wp.array(streams[self.worlds :], dtype=wp.uint32)

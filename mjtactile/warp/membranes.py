@@ -117,7 +117,7 @@ class Membranes:
         self.fields.lost.zero_()
 
     def solve(self) -> None:
-        """Bring all membranes to equilibrium on their geoms, from their present states."""
+        """Solve for the equilibrium of all membranes on their geoms, from their present states."""
         wp.launch_tiled(
             solve_all,
             dim=[self.count],

@@ -61,7 +61,7 @@ class Physics:
         return replace(self, scheme=new_scheme(self.membranes.membrane, iteration), **state)
 
     def assign(self, other: Physics) -> None:
-        """Take the state of `other`."""
+        """Copy the state of `other`."""
         for name, kind in _STATE.items():
             to, source = getattr(self, name), getattr(other, name)
             for variable in _arrays(kind):

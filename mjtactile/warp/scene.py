@@ -37,7 +37,7 @@ def bind(
     *,
     iteration: Iteration | None = None,
 ) -> Touch:
-    """Put sensors into all worlds of a MuJoCo Warp scene, inflated, sealed and untouched.
+    """Add sensors to all worlds of a MuJoCo Warp scene, inflated, sealed and without contact.
 
     Args:
         model: Compiled from the spec to which the sensors were attached with `effects` without

@@ -1,5 +1,7 @@
 """Tests of the counts of the prose check."""
 
+from pathlib import Path
+
 from tools import check_prose
 
 
@@ -34,3 +36,46 @@ def test_a_private_sentence_raises_the_measures(tmp_path):
     assert clean["documentation sentence, mean words"] == 4
     # the title and the table count, too
     assert clean["documentation, words (code and equations left out)"] == 11
+
+
+def test_functions_that_start_with_a_noun_are_counted(tmp_path):
+    code = """
+def noun():
+    \"\"\"The force, N.\"\"\"
+
+class Sensor:
+    \"\"\"Sensor of a finger.\"\"\"
+
+    @property
+    def pressure(self):
+        \"\"\"Pressure, Pa.\"\"\"
+
+    async def read(self):
+        \"\"\"Read, or wait.\"\"\"
+
+    @classmethod
+    def of(cls):
+        \"\"\"As `read`.\"\"\"
+
+    def plain(self):
+        return 1
+
+def write():
+    \"\"\"Write the force, N.\"\"\"
+"""
+    (tmp_path / "a.py").write_text(code)
+    nothing = check_prose.Text()
+    text = check_prose.read_code(tmp_path)
+    values = check_prose.measure(text, nothing, nothing)
+    # `noun` and `of` of the four functions with a docstring; the property and the class are nouns
+    assert values["function docstrings that do not start with an imperative verb, %"] == 50
+    first = [sentence for _, sentence in check_prose.worst(text, nothing, 1)]
+    assert first == ["The force, N."]
+
+
+def test_the_list_of_verbs_has_no_double_and_no_noun_of_a_quantity():
+    words = (Path(check_prose.__file__).with_name("docstring_verbs.txt")).read_text().split()
+    assert words == sorted(set(words))
+    # such a first word would hide "Force, N." or "Height of the membrane, m."
+    quantities = {"Force", "Height", "Position", "Rate", "Number", "State", "Time", "Weight"}
+    assert not quantities & set(words)

@@ -20,7 +20,7 @@ def fixed(array: NDArray) -> NDArray:
 
 
 def keep_status(owner: Any) -> None:
-    """Give the frozen dataclass `owner` a status with a code, whatever text it was made with."""
+    """Convert the status of the frozen dataclass `owner` to one with a code."""
     object.__setattr__(owner, "status", Status.of(owner.status))
 
 

@@ -117,7 +117,7 @@ class PositionActuator:
         self._data.ctrl[self.id] = self._zero + self._per_length * length
 
     def place(self, length: float, data: mujoco.MjData) -> None:
-        """Put its joints in `data` at this length, shared according to the gears."""
+        """Set the joints in `data` to this length, distributed by the gears."""
         squares = sum(gear * gear for gear in self.gears)
         for gear, q in zip(self.gears, self._qpos, strict=True):
             data.qpos[q] = gear * length / squares

@@ -217,7 +217,7 @@ class Jaws:
         return float(sum(law.part(actuator.length) for actuator, law in self.actuators))
 
     def speed(self) -> float:
-        """Rate of change of the opening, m/s; negative while closing."""
+        """Return the rate of change of the opening, m/s, negative while closing."""
         return float(
             sum(law.slope(actuator.length) * actuator.speed for actuator, law in self.actuators)
         )

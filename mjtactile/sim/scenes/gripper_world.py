@@ -195,7 +195,7 @@ class GripperWorld(World):
         return self._lift.height()
 
     def place_gripper(self, opening: float, lift: float) -> None:
-        """Put jaws and lift at these coordinates, m, at rest, for experiments."""
+        """Set jaws and lift to these coordinates, m, at rest, for experiments."""
         scratch = self._kinematics
         scratch.qpos[:] = self.data.qpos
         scratch.mocap_pos[:] = self.data.mocap_pos
@@ -276,7 +276,7 @@ class GripperWorld(World):
         return opening
 
     def _place(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Bring a fresh state to the planned start."""
+        """Set a new state to the planned start."""
         data.qpos[: len(self.start.qpos)] = self.start.qpos
         data.mocap_pos[:] = self.start.mocap_pos
 

@@ -87,7 +87,7 @@ def _equalities(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Arra
 
 
 def _keep_ranges(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Bring slides and hinges back into their ranges."""
+    """Clip slides and hinges to their ranges."""
     for joint in np.flatnonzero(model.jnt_limited):
         if model.jnt_type[joint] in SCALAR_JOINTS:
             address = model.jnt_qposadr[joint]

@@ -136,10 +136,10 @@ class World:
         return max(1, math.ceil((due - self.time) / self.timestep - 1e-9))
 
     def _write_goals(self, batches: QuasistaticStepper) -> None:
-        """Hook for worlds that move their controls by themselves: `batches` will."""
+        """Write goals and limits to `batches`. A hook of worlds that move their controls."""
 
     def _read_goals(self, batches: QuasistaticStepper) -> None:
-        """Hook: `batches` has."""
+        """Read the goals that `batches` has reached. A hook of worlds that move their controls."""
 
     def after_each_step(self, call: Callable[[], None]) -> None:
         """Register `call()` to run after every later step."""
@@ -161,7 +161,7 @@ class World:
         return self.sensors[sensor].marker_poses()
 
     def _before_step(self) -> None:
-        """Hook for worlds that move their controls by themselves."""
+        """Move controls before a step. A hook of worlds that move their controls."""
 
     def _watch(self, watcher: Callable[[], Reasons]) -> None:
         """Register `watcher`; its flags are collected at each check of the state."""

@@ -132,7 +132,7 @@ class BaseSensor(NotCopyable, ABC):
         self._gas.open(self.design.chamber.supply_gauge if supply_gauge is None else supply_gauge)
 
     def close_valve(self) -> None:
-        """Trap the gas that is in the chamber now."""
+        """Close the valve and seal the current gas."""
         self._update_to_now()
         self._gas.close()
 

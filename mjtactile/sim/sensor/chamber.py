@@ -86,11 +86,11 @@ class GasTendon:
         self._apply(gradient, gauge_pressure, stiffness)
 
     def suspend(self) -> None:
-        """Take the tendon's joints and the pressure out of the model."""
+        """Remove the tendon's joints and the pressure from the model."""
         self._model.tendon_num[self._tendon] = 0
         self._spring[0] = 0.0
         self.forces[:] = 0.0
 
     def resume(self) -> None:
-        """Put the joints back; `apply` brings the pressure."""
+        """Restore the tendon's joints. `apply` restores the pressure."""
         self._model.tendon_num[self._tendon] = self._count

@@ -22,8 +22,8 @@ _DEFAULT = 1  # contype of a geom without one in its MJCF
 
 
 def apply_collision_rule(model: mujoco.MjModel, carrier: int) -> None:
-    """Let membranes touch the geoms and flexes that would touch a default geom, or that have a
-    `<pair>` with a geom of the body `carrier`."""
+    """Enable contacts of membranes with the geoms and flexes that would touch a default geom, and
+    with those in a `<pair>` with a geom of the body `carrier`."""
     for contype, conaffinity in (
         (model.geom_contype, model.geom_conaffinity),
         (model.flex_contype, model.flex_conaffinity),

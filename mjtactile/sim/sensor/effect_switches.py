@@ -123,7 +123,7 @@ def read_switches(text: str, field: str) -> dict[Effect, bool]:
 
 
 def set_physics(child: mujoco.MjSpec, mesh: MembraneMesh, on: frozenset[str]) -> None:
-    """Bring a fresh membrane (of `add_membrane`) to the effects `on`."""
+    """Configure a new membrane (of `add_membrane`) for the effects `on`."""
     flex = next(flex for flex in child.flexes if flex.name == FLEX)
     flex.elastic2d = _BOTH if Effect.BENDING in on else _STRETCH
     if Effect.GAS not in on:
@@ -138,7 +138,7 @@ def set_physics(child: mujoco.MjSpec, mesh: MembraneMesh, on: frozenset[str]) ->
 
 
 def set_servo(spec: mujoco.MjSpec, actuator: str, on: frozenset[str]) -> None:
-    """Let `actuator` follow its control with the lag of a real servo, if "servo dynamics" is on."""
+    """Add the lag of a real servo to `actuator`, if "servo dynamics" is on."""
     if Effect.SERVO_DYNAMICS in on:
         servo = spec.actuator(actuator)
         servo.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
@@ -202,11 +202,11 @@ class FixedLoad:
             self.forces[:] = gauge_pressure * gradient.ravel()
 
     def suspend(self) -> None:
-        """Take the load away; the vertices are held otherwise."""
+        """Remove the load. The sleeping sensor holds the vertices."""
         self.forces[:] = 0.0
 
     def resume(self) -> None:
-        """Let the next `apply` write it again."""
+        """Apply the load again at the next `apply`."""
         self._last = (math.nan, None)
 
 

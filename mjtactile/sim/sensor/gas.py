@@ -99,7 +99,7 @@ class ChamberGas:
         self._find_connections()
 
     def close(self) -> None:
-        """Trap the gas that is in the chamber now."""
+        """Close the valve and seal the current gas."""
         self._is_open = False
         self._find_connections()
         self._fill()
@@ -130,7 +130,8 @@ class ChamberGas:
         self._warming = rate
 
     def advance(self, volume: float, elapsed: float) -> None:
-        """Take the gas to `volume`, `elapsed` s after the last call (0: without heat or flow)."""
+        """Advance the gas to `volume`, m^3, `elapsed` s after the last call (0: without heat or
+        flow)."""
         if math.isnan(self._volume) or volume <= 0:
             self._volume = volume
         warmer = self._warming * max(elapsed, 0.0)

@@ -133,7 +133,8 @@ def _add_flex(
 
 
 def _add_contact_sphere(vertex: mujoco.MjsBody, name: str, radius: float, friction: float) -> None:
-    """Let the vertex be touched by any contype, with the membrane's own friction and stiffness."""
+    """Add a sphere that collides with any contype, with the membrane's own friction and
+    stiffness."""
     vertex.add_geom(
         name=name,
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -215,8 +216,7 @@ class ContactStiffness:
 
 
 def touch_with(model: mujoco.MjModel, vertex_geom_ids: np.ndarray, flex_id: int, mode: str) -> None:
-    """Let the membrane be touched at its "vertices", on its triangles ("elements"), or on
-    "both"."""
+    """Enable contacts at the membrane's "vertices", its triangles ("elements"), or "both"."""
     model.geom_conaffinity[vertex_geom_ids] = ANYTHING * (mode != "elements")
     model.flex_conaffinity[flex_id] = ANYTHING * (mode != "vertices")
 

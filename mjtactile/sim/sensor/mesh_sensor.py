@@ -273,7 +273,8 @@ class TactileSensor(BaseSensor):
         return self.time if self.is_asleep else self._time
 
     def inflate(self, displacements: Array, gauge_pressure: float) -> None:
-        """Put the vertices at `displacements` (3 k,) m at rest, and seal at `gauge_pressure` Pa."""
+        """Set the vertices to `displacements` (3 k,), m, at rest, and seal at `gauge_pressure`,
+        Pa."""
         self.wake()
         self._tendon.displacements[:] = displacements
         self._data.qvel[self._tendon.dofs] = 0.0

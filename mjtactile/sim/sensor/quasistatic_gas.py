@@ -66,7 +66,7 @@ class QuasistaticGas:
         timestep: float,
         time: float,
     ):
-        """Couple the gas; `stiffness` (1,) -dp/dV, Pa/m^3, is written here for the kernel."""
+        """Connect the gas. `stiffness` (1,), -dp/dV, Pa/m^3, is written here for the kernel."""
         self._gas = gas
         self._live = live
         self._state = state

@@ -188,12 +188,13 @@ class QuasistaticSensor(BaseSensor):
         return self.time
 
     def close_valve(self) -> None:
-        """Trap the gas that is in the chamber now."""
+        """Close the valve and seal the current gas."""
         super().close_valve()
         self._qs_gas.close()
 
     def inflate(self, displacements: Array, gauge_pressure: float) -> None:
-        """Be at rest with these displacements (3 k,) m, sealed at `gauge_pressure` Pa."""
+        """Set the membrane to `displacements` (3 k,), m, at rest, sealed at `gauge_pressure`,
+        Pa."""
         live = self._live
         live.lie_flat()
         live.x.reshape(3, -1)[:, self.mesh.interior] = displacements.reshape(-1, 3).T

@@ -149,7 +149,7 @@ class RelaxingMesh:
         self._act = bound("rubber_remembers", *self._membrane, thin, *self._state, rows, forces)
 
     def settle(self, p_SV: Array) -> None:
-        """Forget all but a shape (n, 3) m that has been there for ever."""
+        """Relax the rubber completely in the shape `p_SV` (n, 3), m."""
         for _ in range(2):  # the first pass sets the stress, the second its relaxed part
             self._advance(p_SV, np.inf)
 

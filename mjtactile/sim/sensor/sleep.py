@@ -140,7 +140,7 @@ class Sleeper:
         self.stay_awake()
 
     def stay_awake(self) -> None:
-        """Forget how long the sensor has been still: something is about to change."""
+        """Reset the time without motion, because the state is about to change."""
         self._after = float(self._data.time) + _HOLD
         self._calm = 0
 

@@ -144,7 +144,7 @@ def solve(
     threads: int,
     scale: float,
 ) -> int:
-    """Bring membrane `f` to equilibrium from its present state; return the status.
+    """Solve for the equilibrium of membrane `f` from its present state, and return the status.
 
     A solution that fails leaves the last good state. After two failures in a row, solutions start
     from rest without contact.

@@ -151,7 +151,7 @@ def command_all(
     goals: Goals,
     time: wp.array(dtype=float),
 ):
-    """Turn each world's action into its command; it takes effect one period later."""
+    """Convert each world's action to its command, which takes effect one period later."""
     world = wp.tid()
     action = wp.vec3(0.0, 0.0, 0.0)
     for k in range(3):

@@ -79,7 +79,7 @@ def score_step(
     xpos: wp.array2d(dtype=wp.vec3),
     xipos: wp.array2d(dtype=wp.vec3),
 ):
-    """Take one physics step into account."""
+    """Add one physics step to the score."""
     world = wp.tid()
     total = float(0.0)
     peak = float(0.0)

@@ -99,7 +99,7 @@ def _nearer(start: float, goal: float, maximum: float) -> float:
 
 @wp.func
 def arrive(drive: Drive, goals: Goals, world: int) -> None:
-    """Let the command on its way take effect. The jaws follow when the gears' play is used up."""
+    """Apply the pending command. The jaws follow the motor after the backlash is used up."""
     sent = goals.sent[world]
     half = goals.play[world] / 2.0
     goals.motor[world] = sent[0]

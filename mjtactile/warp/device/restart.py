@@ -168,7 +168,7 @@ def _place(starts: Starts, qpos: wp.array2d(dtype=float), w: int, row: int) -> N
 
 @wp.func
 def _change(starts: Starts, scene: Scene, w: int, row: int) -> None:
-    """Give the world its object, with size, mass and friction, and the gripper its height."""
+    """Set the world's object, with size, mass and friction, and the gripper's height."""
     s = starts.scale[row]
     k = starts.kind[row]
     by = starts.mass[row] * s * s * s

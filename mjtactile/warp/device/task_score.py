@@ -54,7 +54,7 @@ def score_task(
     constraint: wp.array2d(dtype=float),
     wrench: wp.array2d(dtype=float),
 ):
-    """Take one physics step after the lift into account: impact on the support, and release.
+    """Add one physics step after the lift to the score: impact on the support, and release.
 
     Constraints of a rigid object are its contacts with the table and its stand.
     """

@@ -84,7 +84,7 @@ def before_solution(gas: Gas, heat: Heat, f: int) -> None:
 
 @wp.func
 def after_solution(gas: Gas, heat: Heat, f: int, pressure: float, bulge: float) -> None:
-    """Take the gas to its new volume."""
+    """Advance the gas to its new volume."""
     volume = gas.flat + bulge
     if gas.sealed[f] != 0:
         x = heat.exchange
