@@ -1,2 +1,4 @@
-"""Benchmarks: measure, and write data, tables and plots. The only importers of ground truth besides
-scoring and tests."""
+"""Benchmarks: they measure, and write data, tables and plots.
+
+Besides scoring and tests, only they import ground truth.
+"""

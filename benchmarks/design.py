@@ -23,7 +23,10 @@ PLACES = 4
 def run(
     out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Press into each sensor; one row each, kept in `out`/design.json as they come."""
+    """Press into each sensor, and return one row per sensor.
+
+    Results so far are stored in `out`/design.json.
+    """
     rows: list[dict[str, Any]] = []
     for name in SENSORS:
         notify(name)
@@ -35,7 +38,7 @@ def run(
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The rows in Markdown."""
+    """Format the rows as a Markdown table."""
     rows = result["rows"]
 
     def line(words: str, value: Callable[[Mapping[str, Any]], str]) -> str:

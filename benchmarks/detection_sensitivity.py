@@ -43,13 +43,13 @@ TORN_FORCES = (0.7, 1.4)  # forces before the tear, N
 TORN_STEP = 3e-4  # depth step of the load, m
 TORN_SD = 4e-4  # scatter of markers that fit no shape, m
 TORN_IMAGES = 3
-SMALL = 0.5  # of a picture's size
+SMALL = 0.5  # fraction of an image's size
 _NEAR = 3.0  # px, of the same circle
-_SIMILAR_CERTAINTY = 0.05  # of the probability that a pose is right
+_SIMILAR_CERTAINTY = 0.05  # probability of the correct pose
 
 
 def torn(force: float) -> RecordedPress:
-    """A large ball that presses with `force` N; then markers that fit no shape."""
+    """Simulate a large ball, pressed with `force` N; then markers that fit no shape."""
     design = load_sensor(TORN[0])
     world = PressWorld(design, Indenter.parse(TORN[1]), at=TORN[2])
     view = View(world, design, seed=1)
@@ -74,7 +74,10 @@ def torn(force: float) -> RecordedPress:
 def shots(
     presses: Sequence[RecordedPress], bent: RecordedPress
 ) -> list[tuple[Image, RecordedPress]]:
-    """Those of `bench setting-sensitivity`, and more of `bent`: processed, and small."""
+    """Return the images of `bench setting-sensitivity`, and more of `bent`.
+
+    The latter are sharpened and compressed, reduced in size, or both.
+    """
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
     more += [_small(one) for one in (flat, pressed, _processed(pressed))]
@@ -97,7 +100,7 @@ def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def locate(
     images: Sequence[tuple[Image, RecordedPress]], settings: Settings
 ) -> list[DetectedCircles | None]:
-    """Each picture's circles; None where it is refused."""
+    """Detect the circles of each image; the entry of a refused image is None."""
     found: list[DetectedCircles | None] = []
     for image, press in images:
         camera = Camera.from_design(press.design.camera, press.design.glass)
@@ -160,19 +163,19 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     presses = [setting_sensitivity.record(*press) for press in setting_sensitivity.PRESSES]
     images = shots(presses, presses[0])
     presses += [torn(force) for force in TORN_FORCES]
-    estimated, seen = estimate_presses(presses, DEFAULTS), locate(images, DEFAULTS)
+    estimated, located = estimate_presses(presses, DEFAULTS), locate(images, DEFAULTS)
     rows = []
     for name, factor, value in todo[: 2 if quick else None]:
         settings = DEFAULTS.override({name: value})
         row = {"name": name, "factor": factor, "value": value}
         row |= setting_sensitivity.touch_change(estimated, estimate_presses(presses, settings))
-        row |= change(seen, locate(images, settings))
+        row |= change(located, locate(images, settings))
         rows.append(row)
     return {"rows": rows}
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Half and twice of each number, as Markdown."""
+    """Format the effects of half and twice each parameter as a Markdown table."""
     defaults = DEFAULTS.to_dict()
     lines = [
         "| parameter | default | force, mN | images | circles | poses | depth, um | sd factor |",
@@ -196,6 +199,6 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _both(half: Mapping[str, Any], twice: Mapping[str, Any], key: str, unit: float, by: str) -> str:
-    """At half and at twice; nothing where neither changes."""
+    """Format the values at half and at twice; "" if both are unchanged."""
     shown = [format(unit * row[key], by) for row in (half, twice)]
     return "" if set(shown) <= {"0", "0.0", "1.00"} else "/".join(shown)

@@ -153,18 +153,20 @@ def _estimated(
     places = []
     for pose in poses[2:]:
         touches = [perception.perceive(renderer.render(*pose), 0.0) for _ in range(_IMAGES)]
-        seen = np.full((_IMAGES, design.markers.count, 3), np.nan)
+        positions = np.full((_IMAGES, design.markers.count, 3), np.nan)
         for k, touch in enumerate(touches):
             if touch.markers is not None:
-                seen[k, touch.markers.ids] = touch.markers.p_SM
+                positions[k, touch.markers.ids] = touch.markers.p_SM
         forces.append(float(np.mean([touch.force_normal for touch in touches])))
-        places.append(seen.mean(axis=0))
+        places.append(positions.mean(axis=0))
     return core_ms(lambda: renderer.render(*poses[-1]), 50), forces, places
 
 
 def _held(design: SensorDesign, effects: frozenset[str]) -> GraspWorld:
-    """Return a world that holds an egg. Without friction the object and the hand stay at the
-    table."""
+    """Simulate a held egg.
+
+    Without friction the object and the gripper stay at the table.
+    """
     world = GraspWorld(
         set_design(design, effects), "egg", timestep=_STEP, effects=effects, opening=0.05
     )
@@ -174,7 +176,7 @@ def _held(design: SensorDesign, effects: frozenset[str]) -> GraspWorld:
 
 
 def _press(design: SensorDesign, effects: frozenset[str]) -> tuple[float, np.ndarray]:
-    """Normal force, N, and marker positions (N, 3) m."""
+    """Press a sphere; return normal force, N, and marker positions (N, 3), m."""
     world = PressWorld(
         set_design(design, effects),
         Indenter("sphere", 16e-3),
@@ -208,8 +210,8 @@ def _shift(design: SensorDesign, on: frozenset[str], off: frozenset[str]) -> flo
 
 
 def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
-    seen = set_camera_effects(set_design(design, effects), effects)
-    renderer = Renderer(seen, seed=0)
+    changed = set_camera_effects(set_design(design, effects), effects)
+    renderer = Renderer(changed, seed=0)
     p_SM = design.markers.p_SM
     n_S = np.tile([0.0, 0.0, 1.0], (design.markers.count, 1))
     if Effect.MOTION_BLUR in effects:
@@ -257,7 +259,7 @@ def _nothing_left(design: SensorDesign) -> dict[str, Any]:
 
 
 def _sleep(design: SensorDesign) -> dict[str, float]:
-    """Core time of a step, us, of an inflated sensor that touches nothing: awake, and asleep."""
+    """Measure the time of a step without contact, us of a core: awake, and asleep."""
     world = PressWorld(design, Indenter("sphere", 16e-3), timestep=_STEP)
     world.inflate(1000.0, seal=True)
     world.lift_off()
@@ -272,7 +274,7 @@ def _sleep(design: SensorDesign) -> dict[str, float]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown."""
+    """Format the result as a Markdown table."""
     lines = [
         "| effect | cost, ms per simulated s | force change without it, mN | surface change, um |",
         "|---|---|---|---|",

@@ -33,22 +33,22 @@ FORCE = 0.3  # contact force of a touch, N
 
 @dataclass(frozen=True)
 class Case:
-    """An object, and the seed of how it lies."""
+    """An object and the seed of its pose."""
 
     name: str
     seed: int
 
 
 def run(out: Path, quick: bool = False, resume: bool = False) -> dict[str, Any]:
-    """Explore everything; about a minute of a processor each.
+    """Explore each object; each takes about a minute of a processor.
 
     Args:
-        out: Where `explore_rows.jsonl` is kept.
-        quick: An egg with four touches.
-        resume: Keep the rows that are there.
+        out: Folder of `explore_rows.jsonl`.
+        quick: Only an egg, with four touches.
+        resume: Keep the stored rows.
 
     Returns:
-        "rows", one an exploration.
+        "rows", one per exploration.
     """
     notify = Progress().message
     path = out / "explore_rows.jsonl"
@@ -122,7 +122,7 @@ def _words(row: Mapping[str, Any]) -> str:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown."""
+    """Format the result as a Markdown table."""
     rows = result["rows"]
     lines = [
         "| object, pose | shape model | surface error, rms (95 %), mm | size error, largest of "

@@ -223,7 +223,7 @@ def count(report: ET.Element) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown."""
+    """Format the result as a Markdown table."""
     lines = ["| injected fault | cases | required reaction |", "|---|---|---|"]
     for row in result["kinds"]:
         wrong = f" ({row['passed']} met; not: {', '.join(row['wrong'])})" if row["wrong"] else ""

@@ -96,7 +96,10 @@ def nominal_text() -> str:
 
 
 def random_sample(nominal: SensorDesign, seed: int) -> SensorDesign:
-    """Each number up to DIFFERS off, and thickness and modulus both."""
+    """Return the design with each parameter changed by up to the fraction DIFFERS.
+
+    Thickness and modulus are changed independently.
+    """
     rng = np.random.default_rng(seed)
 
     def off(value: float) -> float:
@@ -303,7 +306,7 @@ def scores(result: FitResult, nominal: SensorDesign, true: SensorDesign) -> list
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown: errors of each quantity, sensor by sensor."""
+    """Format the errors of each quantity in Markdown, sensor by sensor."""
     rows = result["specimens"]
     names = "; ".join(row["label"] for row in rows)
     lines = [
@@ -347,7 +350,8 @@ def _errors(numbers: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """`fit.png`: error of every number with its interval; forces kept aside."""
+    """Plot the error of each parameter with its interval, and the forces kept aside, in
+    `fit.png`."""
     if (figure := new_figure("fit.png", (10.0, 4.6))) is None:
         return
     left, right = figure.subplots(1, 2, width_ratios=[2, 1])

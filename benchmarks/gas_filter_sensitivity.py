@@ -130,7 +130,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Half and twice of each number, as Markdown."""
+    """Format the effects of half and twice each parameter as a Markdown table."""
     usual = result["default"]
     lines = [
         f"Default parameters: pressure error {usual['rms_Pa']:.2f} Pa rms, median standard "
@@ -152,7 +152,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _factors(half: float, twice: float, usual: float) -> str:
-    """At half / at twice; nothing where neither changes."""
+    """Format the factors at half and at twice; "" if both are unchanged."""
     fractions = (half / usual, twice / usual)
     if all(abs(fraction - 1) < _ALIKE for fraction in fractions):
         return ""

@@ -20,7 +20,7 @@ SEEDS = range(10)
 
 
 class _MarkerErrors(Observer):
-    """Keeps the marker errors, writes nothing, so that the loop is timed."""
+    """Observer that keeps the marker errors and writes no files, so that the loop is timed."""
 
     def __init__(self) -> None:
         self.marker_errors: list[float] = []
@@ -30,7 +30,7 @@ class _MarkerErrors(Observer):
 
 
 def run(out: Path, quick: bool = False) -> dict[str, Any]:
-    """Grasp each of OBJECTS with the dense sensor; one row a run. A run that fails is a row too."""
+    """Grasp each of OBJECTS with the dense sensor; return one row per run, also for failed runs."""
     rows = []
     notify = Progress().message
     for name in OBJECTS:
@@ -109,7 +109,7 @@ def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result as a Markdown table."""
     lines = [
         "| object | held | crushed | grip force (ground truth), N | force error (estimate minus "
         "ground truth), N: mean / worst | peak force (ground truth), N | slip (ground truth), mm "

@@ -28,7 +28,7 @@ PRESSES = 12
 PRESSES_QUICK = 2
 PRESSURES = (100.0, 500.0, 1000.0, 2000.0)
 DEPTHS = (1e-3, 2e-3, 3e-3)
-ASKED = 0.02  # required force error, N
+REQUIRED = 0.02  # required force error, N
 # maximum distance from the center, in half axes: 5 mm indenters stay clear of the frame
 _RADIUS_FRACTION = 0.4
 _SIZES = (4e-3, 10e-3)  # range of the indenter width, m; for a ball the diameter
@@ -111,7 +111,7 @@ def _estimated(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result as a Markdown table."""
     pressures = ", ".join(f"{1e-3 * p:g}" for p in PRESSURES)
     lines = [
         f"| sensor | simulated vertices | height at {pressures} kPa minus theory, % | contacts, "
@@ -142,7 +142,7 @@ def table(result: Mapping[str, Any]) -> str:
     statuses = [s["status"] for row in result["rows"] for p in row["presses"] for s in p["steps"]]
     note = (
         f"Balls, discs and boxes, 4 to 10 mm wide, at random positions (seeds {FIRST_SEED} to "
-        f"{last}); every other one dragged by 1 mm. Required: at most {1e3 * ASKED:g} mN. "
+        f"{last}); every other one dragged by 1 mm. Required: at most {1e3 * REQUIRED:g} mN. "
         f"{len(statuses) - statuses.count('ok')} of {len(statuses)} estimates are not `ok`. "
         "Theory: Eq. M8."
     )

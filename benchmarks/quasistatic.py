@@ -30,7 +30,7 @@ TIMED = (*GRIDS, (61, 46))
 PLACED = (*GRIDS, (81, 61))  # the last shows the part due to the curvature of the bulge
 USUAL = {"thickness_mm": 0.3, "pre_stretch": 1.05, "rest_Pa": 1000.0}
 OTHER = "paper16"
-"""It has the sheet, frame and gas of `dense`, so that the same references hold for its file."""
+"""Sensor with the membrane, frame and gas of `dense`, to which the same references apply."""
 PLACES, PLACES_QUICK = 12, 2
 _TIMES = {
     "step of 0.05 mm": "step_us",
@@ -46,7 +46,10 @@ Notify = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
-    """Errors against the references, scatter over places, and times; draws `quasistatic.png`."""
+    """Measure errors against the references, scatter over positions, and times.
+
+    It plots `quasistatic.png` in `out`.
+    """
     notify = notify or Progress().message
     path = Path(__file__).with_name("membrane_reference.json")
     references = json.loads(path.read_text(encoding="utf-8"))
@@ -54,7 +57,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
     cases = cases[::20] if quick else cases
     rows = []
     for grid in GRIDS:
-        notify(f"film: references, {grid[0]} x {grid[1]}")
+        notify(f"quasi-static membrane: references, {grid[0]} x {grid[1]}")
         rows += [{"grid": list(grid), **_against(case, grid)} for case in cases]
         other = [case for case in cases if _is_usual(case)]
         rows += [
@@ -63,7 +66,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
     sticking = [
         {"grid": list(grid), **row} for grid in GRIDS for row in _sticking(grid, references)
     ]
-    notify("film: places and times")
+    notify("quasi-static membrane: positions and times")
     places = [
         {"grid": list(grid), **_scatter(grid, PLACES_QUICK if quick else PLACES)} for grid in PLACED
     ]
@@ -85,7 +88,7 @@ def _is_usual(case: dict[str, Any]) -> bool:
 def _membrane(
     case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense"
 ) -> QuasistaticMembrane:
-    """The film of a case's sheet in a sensor; made once."""
+    """Return the quasi-static membrane of a case in a sensor; it is cached."""
     return _made(case["thickness_mm"], case["pre_stretch"], case["rest_Pa"], grid, sensor)
 
 
@@ -131,7 +134,7 @@ def _against(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense")
 
 
 def _markers(quasistatic: QuasistaticMembrane, state: MembraneSolution) -> Array:
-    """Places (81, 3) m of markers on the sheet, by cubic splines through the nodes."""
+    """Interpolate the positions (81, 3), m, of markers on the membrane by cubic splines."""
     from scipy.interpolate import RectBivariateSpline
 
     fields = (
@@ -185,7 +188,7 @@ def _bodies(quasistatic: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, 
 
 
 def _scatter(grid: tuple[int, int], count: int) -> dict[str, Any]:
-    """Mean and spread, (max - min) / mean, of forces over `count` places within one millimetre."""
+    """Return mean and spread, (max - min) / mean, of forces over `count` positions within 1 mm."""
     quasistatic = QuasistaticMembrane("dense", grid, 1000.0)
     places = np.random.default_rng(4).uniform(-1e-3, 1e-3, (count, 2))
     forces: dict[str, list[float]] = {}
@@ -203,7 +206,7 @@ def _summary(forces: Array) -> dict[str, float]:
     return {"force_N": mean, "spread": spread, "lost": len(forces) - len(found)}
 
 
-# -- picture and table -----------------------------------------------------------------------------
+# -- figure and table ------------------------------------------------------------------------------
 
 
 def _plot(path: Path, cases: list[dict[str, Any]]) -> None:
@@ -276,7 +279,7 @@ def _cell(place: dict[str, float]) -> str:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Errors, scatter and times as Markdown."""
+    """Format errors, scatter and times in Markdown."""
     rows = [r for r in result["rows"] if "sensor" not in r]
     other = [r for r in result["rows"] if "sensor" in r]
     balls, squares, discs = (

@@ -22,20 +22,23 @@ _STEPS = 10  # of a burst, each 0.05 mm deeper
 
 
 def _bowl(numbers: Array) -> Obstacle:
-    """A quadric of six numbers: place, two curvatures, and a turn about z."""
+    """Return a quadric obstacle of six parameters: position, two curvatures, rotation about z."""
     c, s = np.cos(numbers[5]), np.sin(numbers[5])
     rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     return QuasistaticMembrane.obstacle("quadric", (*numbers[3:5], 0.012), numbers[:3], rotation)
 
 
 def _deeper(membrane: QuasistaticMembrane) -> list[Obstacle]:
-    """Balls, each 0.05 mm deeper than the one before."""
+    """Return spheres, each 0.05 mm deeper than the previous one."""
     heights = [0.0095 - 5e-5 * k for k in range(_STEPS + 1)]
     return [membrane.obstacle("sphere", (8e-3,), (0, 0, height)) for height in heights]
 
 
 def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
-    """Best times, us, of a step from the one before, 0.05 mm deeper, and of films at once."""
+    """Measure the minimum times, us, of single steps and of batches.
+
+    A step is 0.05 mm deeper and starts from the previous one.
+    """
     bursts = BURSTS_QUICK if quick else BURSTS
     membrane = QuasistaticMembrane("dense", grid, 1000.0)
     balls = _deeper(membrane)
@@ -74,7 +77,7 @@ def times(grid: tuple[int, int], quick: bool) -> dict[str, Any]:
 def _rate(
     membrane: QuasistaticMembrane, balls: list[Obstacle], size: int, threads: int, bursts: int
 ) -> float:
-    """Films a second of `size` at once, which are at rest already."""
+    """Return the solutions per second of a batch of `size` membranes in equilibrium."""
     solve = _at_rest(membrane, balls, size, threads)
     return size / min(solve() for _ in range(bursts))
 
@@ -98,7 +101,7 @@ def _at_rest(
 def _ceiling(grid: tuple[int, int], seconds: float) -> float:
     """Measure the maximum gain of a second processor: the rate of two processes over that of one.
 
-    The processes share no data. Two threads cannot do better: processors share caches and memory,
+    The processes share no data. Two threads cannot be faster: processors share caches and memory,
     if not more.
     """
     context = multiprocessing.get_context("spawn")
@@ -117,8 +120,10 @@ def _ceiling(grid: tuple[int, int], seconds: float) -> float:
 
 
 def _alone(grid: tuple[int, int], seconds: float, together: Any, found: Any) -> None:
-    """In a process of its own: the best rate of a batch in one thread, over some time that begins
-    when all are `together`."""
+    """Measure the maximum rate of a batch in one thread, as a separate process.
+
+    The time starts when all processes are `together`.
+    """
     membrane = QuasistaticMembrane("dense", grid, 1000.0)
     solve = _at_rest(membrane, _deeper(membrane), AT_ONCE, 1)
     together.wait()

@@ -1,4 +1,4 @@
-"""`mjtactile bench readme-table`: numbers of the README, and those that sentences of pages repeat.
+"""`mjtactile bench readme-table`: values of the README, and those that sentences of pages repeat.
 
 They are copied from the pages that the other benchmarks wrote. Nothing is measured here.
 """
@@ -16,7 +16,7 @@ from mjtactile.core.errors import InputError
 
 @dataclass(frozen=True)
 class Number:
-    """One number, and the cell that it is taken from."""
+    """One value, and the cell that it is copied from."""
 
     quantity: str
     page: str
@@ -150,12 +150,12 @@ def cell(page: str, row: str, column: str, *, source: str) -> str:
 
     Args:
         page: The page's text, Markdown.
-        row: How the row begins, without the first "|". "a / b" asks for two rows of one table.
-        column: The heading of the column. "a | b" asks for two columns of the row.
+        row: Start of the row, without the first "|". "a / b" selects two rows of one table.
+        column: The heading of the column. "a | b" selects two columns of the row.
         source: Name of the page, for the error.
 
     Returns:
-        The cell's text, of the first table that has the column and the row; of two both, joined by
+        The cell's text in the first table that has the column and the row. Two cells are joined by
         " / ".
 
     Raises:
@@ -184,7 +184,7 @@ def _first(rows: list[list[str]], beginning: str) -> list[str] | None:
 
 
 def _tables(page: str) -> list[list[list[str]]]:
-    """The cells of each row of each table, its heading first."""
+    """Return the cells of each row of each table, its heading first."""
     tables: list[list[list[str]]] = [[]]
     for line in page.splitlines():
         if line.startswith("|"):

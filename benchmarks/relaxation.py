@@ -25,7 +25,7 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 RUBBERS = {"latex": 0.02, "five times latex": 0.1}
-"""Share of the lasting stress that fades in each decade from 1 to 1000 s."""
+"""Fraction of the lasting stress that fades in each decade from 1 to 1000 s."""
 DEPTH = 3.3e-3  # depth of the hold, m: 0.6 N
 HOLD = 600.0
 HOLD_QUICK = 20.0
@@ -53,9 +53,9 @@ def run(
             f"{1e3 * row['worst_N'][1]:.0f} mN"
         )
         write_json(out / "relaxation.json", {"rows": rows})
-    price = _price()
-    notify(f"a step costs {100 * (price - 1):+.0f} %")
-    result = {"rows": rows, "price": price, "seconds": HOLD_QUICK if quick else HOLD}
+    cost = _relative_cost()
+    notify(f"a step costs {100 * (cost - 1):+.0f} %")
+    result = {"rows": rows, "price": cost, "seconds": HOLD_QUICK if quick else HOLD}
     write_json(out / "relaxation.json", result)
     _plot(out, rows)
     return result
@@ -106,7 +106,7 @@ def _measure(
 ) -> tuple[float, float, float, float]:
     """Return time, true normal force, and the estimates of both sensors, averaged over some
     images."""
-    seen = []
+    rows = []
     for _ in range(_IMAGES):
         world.step(_steps(world, 0.02))
         pressure = world.sensors[0].gauge_pressure + float(rng.normal(0.0, _GAUGE_SD))
@@ -115,14 +115,16 @@ def _measure(
             view.perception.perceive(view.image(), world.time, reading).force_normal
             for view in views
         ]
-        seen.append([-float(ground_truth.contact_force(world, 0)[2]), *estimated])
-    true, knowing, unknowing = np.mean(seen, axis=0)
+        rows.append([-float(ground_truth.contact_force(world, 0)[2]), *estimated])
+    true, knowing, unknowing = np.mean(rows, axis=0)
     return world.time, float(true), float(knowing), float(unknowing)
 
 
-def _price() -> float:
-    """Processor time of a step with rubber that relaxes over one without, a ball pressed in; the
-    median of turns."""
+def _relative_cost() -> float:
+    """Return the processor time of a step with relaxation over one without, under a ball.
+
+    It is the median of several turns.
+    """
     worlds = []
     for design in (_relaxing(load_sensor("dense"), 0.05), load_sensor("dense")):
         world = PressWorld(design, Indenter.parse("sphere:8"))
@@ -142,7 +144,7 @@ def _price() -> float:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result as a Markdown table."""
     lines = [
         "| rubber | relaxation per decade | true force, N | worst force error with `[relaxation]`, "
         "mN | without | 10 s after release (without), mN |",
@@ -156,10 +158,10 @@ def table(result: Mapping[str, Any]) -> str:
             f"| {row['rubber']} | {row['rate']:.0%} | {start:.3f} to {end:.3f} | {knows:.0f} | "
             f"{does_not:.0f} | {after:+.0f} ({after_not:+.0f}) |"
         )
-    price = 100 * (result["price"] - 1)
+    cost = 100 * (result["price"] - 1)
     note = (
         f"Holds of {result['seconds']:.0f} s. Required: at most 30 mN (target 15 mN). The cost of "
-        f"a simulation step changes by {price:+.0f} % (allowed 10 %)."
+        f"a simulation step changes by {cost:+.0f} % (allowed 10 %)."
     )
     return "\n".join(lines) + f"\n\n{note}\n"
 

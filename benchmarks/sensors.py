@@ -114,7 +114,7 @@ def _percent(fraction: float | None, digits: int) -> str:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown."""
+    """Format the result as a Markdown table."""
     rows = result["rows"]
     presses = len(DEPTHS) * len(BODIES)
 

@@ -49,7 +49,7 @@ RENDER_STAGES = (
 """Stages used for photographs only; the image stages are tested on both."""
 IMAGE_STAGES = ("candidates", "markers", "edges", "profiles")
 PRESSES = (("dense", "sphere:8", (3e-3, -2e-3), 0.0), ("paper16", "sphere:12", (1e-3, 2e-3), 0.0))
-"""Sensor, indenter, where, and tilt, rad."""
+"""Sensor, indenter, position, m, and tilt, rad."""
 DEPTHS = (-2e-4, 3e-4, 8e-4, 1.5e-3, 2e-3)  # depths of the load, m
 SHEAR = 1.5e-3  # shear displacement, m
 INTERVAL = 1 / 30  # image period, s
@@ -99,7 +99,7 @@ class Circles:
 
 
 def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> RecordedPress:
-    """A press in steps, a drag, and the lift."""
+    """Record an indentation in steps, a drag, and the lift."""
     design = load_sensor(sensor)
     world = PressWorld(design, Indenter.parse(indenter), at=at, tilt=tilt)
     view = View(world, design, seed=1)
@@ -125,7 +125,7 @@ def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> 
 
 
 def estimate_presses(presses: Sequence[RecordedPress], settings: Settings) -> TouchResult:
-    """All presses by chains with these settings; where a reference is refused, no force."""
+    """Estimate all loads with these settings; without a force if a reference is refused."""
     rows: list[tuple[Any, ...]] = []
     for press in presses:
         rows += _estimate_images(press, settings)
@@ -153,11 +153,11 @@ def _estimate_images(press: RecordedPress, settings: Settings) -> list[tuple[Any
 
 
 def _row(touch: Touch) -> tuple[Any, ...]:
-    seen = 0 if touch.markers is None else len(touch.markers)
+    markers = 0 if touch.markers is None else len(touch.markers)
     area = 0.0 if touch.contact is None else touch.contact.area
     slips = "" if touch.slip is None else touch.slip.state
     reported = f"{touch.status.code.value} {touch.touching} {slips} {len(touch.patches)}"
-    return touch.force_normal, touch.force_normal_sd, seen, area, reported
+    return touch.force_normal, touch.force_normal_sd, markers, area, reported
 
 
 def shots(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]:
@@ -182,7 +182,7 @@ def shots(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]
 
 
 def detect_all(images: Sequence[tuple[Image, RecordedPress]], settings: Settings) -> list[Circles]:
-    """All pictures by `locate` with these settings."""
+    """Detect the circles of all images by `locate` with these settings."""
     return [_detect(image, press, settings) for image, press in images]
 
 
@@ -244,7 +244,7 @@ def image_change(before: Sequence[Circles], now: Sequence[Circles]) -> dict[str,
 
 
 def _pairs(old: Circles, new: Circles) -> list[tuple[int, int]]:
-    """Circles at the same place, to 3 px."""
+    """Return the pairs of circles at the same position, within 3 px."""
     if not len(old.uv) or not len(new.uv):
         return []
     distance = np.linalg.norm(old.uv[:, None] - new.uv, axis=2)
@@ -298,7 +298,7 @@ def _prepare(quick: bool) -> None:
         presses=presses,
         images=images,
         estimated=estimate_presses(presses, DEFAULTS),
-        seen=detect_all(images, DEFAULTS),
+        circles=detect_all(images, DEFAULTS),
     )
 
 
@@ -310,7 +310,7 @@ def _try(variant: tuple[str, float, Any]) -> dict[str, Any]:
     if stage not in RENDER_STAGES:
         row |= touch_change(_GIVEN["estimated"], estimate_presses(_GIVEN["presses"], settings))
     if stage in (*RENDER_STAGES, *IMAGE_STAGES):
-        row |= image_change(_GIVEN["seen"], detect_all(_GIVEN["images"], settings))
+        row |= image_change(_GIVEN["circles"], detect_all(_GIVEN["images"], settings))
     return row
 
 
@@ -337,7 +337,7 @@ def run(out: Path, quick: bool) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown: a row for each parameter that changes a result."""
+    """Format the result in Markdown: one row for each parameter that changes a result."""
     by_name: dict[str, list[Mapping[str, Any]]] = {}
     for row in result["rows"]:
         by_name.setdefault(row["name"], []).append(row)
@@ -403,7 +403,7 @@ def _cells(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _both(rows: Sequence[Mapping[str, Any]], key: str, text: Callable[[float], str]) -> str:
-    """At half and at twice; one where they are alike, a dash where nothing changes."""
+    """Format the values at half and at twice; one value if both are alike, "" if unchanged."""
     if key not in rows[0]:
         return ""
     shown = [text(row[key]) if np.isfinite(row[key]) else "-" for row in rows]

@@ -65,7 +65,7 @@ class Case:
     at: tuple[float, float]
 
 
-# The places are no symmetry points of any mesh: the error of a coarse mesh depends on where the
+# The positions are no symmetry points of any mesh: the error of a coarse mesh depends on where the
 # vertices are.
 CASES = (
     Case(16e-3, 2.5e-3, (0.7e-3, 0.4e-3)),
@@ -114,7 +114,11 @@ def held(
     design: SensorDesign | str = SENSOR,
     settle: float = 0.8,
 ) -> GraspWorld:
-    """Two sealed sensors that hold `grasped` in the air, at rest. Raises SimulationError."""
+    """Simulate two sealed sensors that hold `grasped` in the air, at rest.
+
+    Raises:
+        SimulationError: The simulation failed.
+    """
     world = GraspWorld(design, grasped, timestep=setting.timestep, mesh=setting.mesh, opening=0.05)
     setting.apply(world)
     return hold(world, settle)
@@ -139,14 +143,18 @@ def hold(world: GraspWorld, settle: float = 0.8) -> GraspWorld:
 
 
 def core_ms(action: Callable[[], Any], count: int) -> float:
-    """Core time of one `action()`, ms: the least of five bursts, since all that a machine does
-    besides only adds."""
+    """Measure the core time of one `action()`, ms: the minimum of five bursts.
+
+    Other load on the machine only adds time.
+    """
     return in_turns([action], max(count // 5, 1), rounds=5)[0]
 
 
 def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12) -> list[float]:
-    """Core time of each action, ms: the least of its bursts of `count`, which take turns with the
-    others' bursts."""
+    """Measure the core time of each action, ms: the minimum over its bursts of `count`.
+
+    The bursts of all actions alternate.
+    """
     minimum = [math.inf] * len(actions)
     for _ in range(rounds):
         for k, action in enumerate(actions):
@@ -158,8 +166,11 @@ def in_turns(actions: Sequence[Callable[[], Any]], count: int, rounds: int = 12)
 
 
 def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:
-    """Cost in ms per simulated second, noise of the contact force (sd, N), and solver iterations a
-    step, while holding."""
+    """Measure cost, force noise and solver iterations while holding.
+
+    The cost is in ms per simulated second, the noise a standard deviation in N, the iterations are
+    per step.
+    """
     world = held(setting)
     ms = core_ms(world.step, round(seconds / setting.timestep))
     forces = []
@@ -179,7 +190,7 @@ def cost_and_noise(setting: Setting, seconds: float = 0.6) -> dict[str, float]:
 
 
 def attempt(measure: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """The measurement, or {"failed": reason}: a setting that cannot be run is a result too."""
+    """Return the measurement, or {"failed": reason} if the setting cannot be run."""
     try:
         return measure()
     except MjtactileError as error:

@@ -52,7 +52,7 @@ class LabelledImage:
 
 
 def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
-    """Watch the sequences; counts for each kind of disturbance."""
+    """Evaluate the sequences, and return counts for each kind of disturbance."""
     notify = notify or Progress().message
     seeds = range(SEQUENCES_QUICK if quick else SEQUENCES)
     rows: list[dict[str, Any]] = []
@@ -66,7 +66,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
 
 
 def sequence_row(seed: int) -> dict[str, Any]:
-    """One sequence, seen in both ways."""
+    """Evaluate one sequence with both methods."""
     design = load_sensor(SENSOR)
     camera = Camera.from_design(design.camera, design.glass)
     minimum = max(1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance)
@@ -143,7 +143,7 @@ def _errors(found: Ellipses, truth: Array) -> tuple[Array, Array, Array]:
 
 
 def moments(kind: str, seed: int) -> Iterator[LabelledImage]:
-    """The images of a sequence."""
+    """Yield the images of a sequence."""
     design = load_sensor(SENSOR)
     rng = np.random.default_rng(seed)
     renderer = Renderer(design, seed=seed)
@@ -168,8 +168,10 @@ def moments(kind: str, seed: int) -> Iterator[LabelledImage]:
 def _dent(
     rng: np.random.Generator, rate: float, kind: str
 ) -> Callable[[float], tuple[Array, float, float]]:
-    """Place (2,) m, depth m and width m of a dent at a time; of a tap one that is there within one
-    image or two."""
+    """Return a function of time, s, that gives position (2,), depth and width of a dent, m.
+
+    A tap lasts for one or two images.
+    """
     start = rng.uniform(-10e-3, 10e-3, 2)
     displacement = rng.uniform(-6e-3, 6e-3, 2)
     depth = rng.uniform(-3e-3, 1e-3)
@@ -192,8 +194,10 @@ def _dent(
 
 
 def _membrane(flat: Array, dents: list[tuple[Array, float, float]]) -> tuple[Array, Array]:
-    """Positions and unit normals (M, 3) of markers on a bulge with dents; the sheet slides a little
-    with them."""
+    """Return positions and unit normals (M, 3) of markers on a bulge with dents.
+
+    The membrane slides a little with the dents.
+    """
     x, y = flat[:, :2].T / np.abs(flat[:, :2]).max(axis=0)[:, None] / 1.3
     p = flat.copy()
     slope = np.zeros((len(flat), 2))
@@ -209,8 +213,7 @@ def _membrane(flat: Array, dents: list[tuple[Array, float, float]]) -> tuple[Arr
 
 
 def _centers(camera: Camera, p_CM: Array, n: Array, radius: float) -> Array:
-    """Centres (M, 2) px of the ellipses as which circles appear: centroids of their projected
-    areas."""
+    """Return the centers (M, 2), px, of the circles' images: centroids of their projected areas."""
     t = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     a, b = geometry.tangents(n)
     rim = p_CM[:, None] + radius * (
@@ -235,7 +238,7 @@ def _nothing(
 def _occlusion(
     grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
 ) -> tuple[Floats, Array]:
-    """Something grey and long goes across the picture and away again."""
+    """Add a long gray object that moves across the image."""
     if k % 30 == 0:
         state["occlusion"] = (
             rng.uniform([0, 0], [640, 480]),
@@ -263,7 +266,7 @@ def _occlusion(
 def _glare(
     grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
 ) -> tuple[Floats, Array]:
-    """Soft bright spots that wander."""
+    """Add soft bright spots that move."""
     if k == 0:
         state["glare"] = (
             rng.uniform([0, 0], [640, 480], (4, 2)),
@@ -300,7 +303,7 @@ def _jump(
 def _fade(
     grey: Floats, truth: Array, k: int, state: dict, rng: np.random.Generator
 ) -> tuple[Floats, Array]:
-    """Some markers wear off or are wiped over, and come back."""
+    """Fade some markers out, and restore them."""
     if k % 20 == 0:
         state["gone"] = rng.choice(len(truth), 5, replace=False)
     grey = grey.copy()
@@ -344,7 +347,7 @@ _LABELS = {
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result as a Markdown table."""
     lines = [
         "| sequences | images | searched | markers | wrong | missed once | missed twice in a "
         "row | largest difference, sd |",

@@ -2,8 +2,8 @@
 
 Markers: the image stages and `--effects -images` process the same membranes, with references taken
 alike. Position errors are given by mean, spread, outliers and dropouts. Grasps: the same episodes
-(object, seed, variation) run both ways, alternating in one process. The result is outcomes, true
-hold forces, and episodes per hour of one core.
+(object, seed, randomization) run both ways, alternating in one process. The result is outcomes,
+true hold forces, and episodes per hour of one core.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ PAIRS = 200
 PAIRS_QUICK = 1
 OBJECTS = ("egg", "strawberry", "vial")
 _REFERENCES = 10  # images, as a session takes
-_PER_REFERENCE = 5  # images that are seen with the same references
+_PER_REFERENCE = 5  # images evaluated with the same references
 _OUTLIER = 5.0  # of the marker's own standard deviations
 _TIMESTEP = 4e-3
 
@@ -66,7 +66,7 @@ SCENES = {
 def run(
     out: Path, *, quick: bool = False, pairs: int | None = None, notify: Notify | None = None
 ) -> dict[str, Any]:
-    """Errors of markers in every scene, and `pairs` of episodes."""
+    """Measure marker errors in every scene, and compare `pairs` of episodes."""
     notify = notify or Progress().message
     rows = []
     for name, scene in SCENES.items():
@@ -101,7 +101,7 @@ def marker_errors(scene: Scene, count: int) -> dict[str, Any]:
 
 
 def _poses(design: SensorDesign, scene: Scene) -> tuple[Pose, Pose, Pose]:
-    """Markers of the flat, the inflated and the pressed membrane."""
+    """Return the markers of the flat, the inflated and the indented membrane."""
     world = PressWorld(design, Indenter("sphere", scene.radius), at=scene.at, timestep=_TIMESTEP)
     poses = []
     for gauge in (0.0, 1000.0):
@@ -142,14 +142,14 @@ def _errors(
         sds.append(sd)
     error = np.array(errors)
     reported = np.array(sds)
-    seen = int(np.isfinite(error[..., 0]).sum())
+    detected = int(np.isfinite(error[..., 0]).sum())
     mean = np.nanmean(error, axis=0)
     return {
         "mean_um": (1e6 * np.sqrt(np.nanmean(mean**2, axis=0))).tolist(),
         "sd_um": (1e6 * np.nanmedian(np.nanstd(error, axis=0), axis=0)).tolist(),
         "reported_sd_um": (1e6 * np.nanmedian(reported, axis=(0, 1))).tolist(),
-        "outliers_percent": 100 * outliers / max(seen, 1),
-        "missed_percent": 100 * (1 - seen / error[..., 0].size),
+        "outliers_percent": 100 * outliers / max(detected, 1),
+        "missed_percent": 100 * (1 - detected / error[..., 0].size),
     }
 
 
@@ -158,8 +158,7 @@ def _errors(
 
 
 def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
-    """The lines of each episode, with and without images, and the processor time that they took,
-    s."""
+    """Run each episode with and without images; yield its results and processor times, s."""
     for k in range(count):
         pair: dict[str, Any] = {"seed": k, "object": OBJECTS[k % len(OBJECTS)]}
         for method, effects in (("images", "auto"), ("none", "-images"))[:: 1 if k % 2 else -1]:
@@ -189,7 +188,7 @@ def _pairs(count: int, notify: Notify) -> Iterator[dict[str, Any]]:
 
 
 def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sums of the pairs. Forces of those that were held both ways."""
+    """Sum up the pairs; forces are compared for pairs that held the object both ways."""
     held = {
         direction: sum(pair[direction]["outcome"] == "held" for pair in pairs)
         for direction in ("images", "none")
@@ -231,7 +230,7 @@ def _grasps(pairs: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Both comparisons as Markdown."""
+    """Format both comparisons in Markdown."""
     lines = [
         "| markers, um (with images / without) | mean error, rms (x, y, z) | sd (x, y, z) | "
         "beyond 5 sd, % |",

@@ -53,18 +53,21 @@ class State:
 
 
 def run(quick: bool, notify: Callable[[str], None]) -> dict[str, Any]:
-    """Rows of each sweep: rms force error, N, rms marker error, um, and ms of rendering and of
-    perception an image."""
+    """Measure force error, marker error and processing time for each row of each sweep.
+
+    Force errors are rms values in N, marker errors rms values in um. The times of rendering and of
+    perception are in ms per image.
+    """
     design = load_sensor(SENSOR)
     states = _states(design)
 
     def row(
         name: str,
-        seen: SensorDesign,
+        rendered: SensorDesign,
         moments: list[State],
         effects: Effects = SAMPLED["as designed"],
     ) -> dict[str, Any]:
-        result = {"name": name} | attempt(lambda: _evaluate(seen, moments, effects))
+        result = {"name": name} | attempt(lambda: _evaluate(rendered, moments, effects))
         notify(f"camera, {name}: {result.get('failed') or result['force_error_N']}")
         return result
 
@@ -94,8 +97,10 @@ def run(quick: bool, notify: Callable[[str], None]) -> dict[str, Any]:
 
 
 def _scaled(camera: CameraDesign, s: float) -> CameraDesign:
-    """The same view with `s` times the pixels; the blur is the lens's, so it grows in pixels, the
-    noise a pixel's."""
+    """Return the camera with `s` times the pixels per side and the same view.
+
+    The lens blur scales with the pixels; the noise per pixel stays.
+    """
     return replace(
         camera,
         width=round(camera.width * s),
@@ -120,7 +125,10 @@ def _with_markers(design: SensorDesign, rows: int, columns: int, radius: float) 
 
 
 def _states(design: SensorDesign) -> list[State]:
-    """Flat, inflated, and pressed to each depth with a 16 mm sphere."""
+    """Simulate the flat, the inflated and the indented membrane.
+
+    A 16 mm sphere is pressed to each depth.
+    """
     world = PressWorld(design, Indenter("sphere", 16e-3), at=(0.7e-3, 0.4e-3))
     states = []
     for pressure in (0.0, 1000.0):
@@ -153,9 +161,9 @@ def _evaluate(design: SensorDesign, states: list[State], effects: Effects) -> di
         for _ in range(_FRAMES):
             start = time.thread_time()
             image = renderer.render(state.p_SM, state.n_S, effects=effects)
-            seen = time.thread_time()
+            rendered = time.thread_time()
             touch = perception.perceive(image, 0.0)
-            spent += (seen - start, time.thread_time() - seen)
+            spent += (rendered - start, time.thread_time() - rendered)
             errors.append(touch.force_normal - state.force)
             if touch.markers is not None:
                 distances.append(
@@ -193,7 +201,7 @@ def _rates(design: SensorDesign) -> list[dict[str, Any]]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown."""
+    """Format the result as a Markdown table."""
     lines = [
         "| camera | force error mN | marker error um | camera ms | perception ms |",
         "|---|---|---|---|---|",

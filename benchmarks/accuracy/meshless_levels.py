@@ -125,8 +125,11 @@ def _estimated(force: float) -> np.ndarray:
 
 
 def _held() -> dict[str, float]:
-    """Two films that hold an egg: ms of a core for a second of that, and of drawing its touch;
-    noise of the force."""
+    """Measure cost and force noise while two quasi-static membranes hold an egg.
+
+    Costs are in ms of one core per simulated second: of the simulation, and of sampling the
+    touches.
+    """
     world = hold(GraspWorld(SENSOR, "egg", timestep=STEP, opening=0.05, effects=_WITHOUT))
     frame = 16  # steps at 30 Hz
     quasistatic = core_ms(lambda: world.step(frame), 20) / frame / STEP
@@ -160,7 +163,7 @@ def _outcomes(seed: int, number: int, count: int, notify: Notify) -> dict[str, s
 
 
 def table(result: dict[str, Any]) -> str:
-    """The rows as Markdown."""
+    """Format the rows as a Markdown table."""
     names = {QUASISTATIC: "quasi-static membrane", SAMPLED: "quasi-static membrane, sampled touch"}
     made = result["stamp"]
     lines = [

@@ -58,8 +58,10 @@ def plot(result: dict[str, Any], out: Path, notify: Callable[[str], None]) -> No
 def _scale(
     axis: Any, limits: tuple[float, float], set_limits: Callable[[float, float], Any]
 ) -> None:
-    """Plain numbers at 1, 2 and 5, and at least a factor of four between the ends, so that noise
-    does not look like a slope."""
+    """Set a logarithmic axis with plain tick labels at 1, 2 and 5.
+
+    Its ends differ by at least a factor of four, so that noise does not appear as a slope.
+    """
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     center = (limits[0] * limits[1]) ** 0.5

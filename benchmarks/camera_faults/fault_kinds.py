@@ -13,7 +13,7 @@ from mjtactile.core.config_fields import entries, from_table
 from mjtactile.rig.camera_faults import CameraFaults
 
 SEED = 20261
-"""Strengths are drawn from this; those of other seeds were used in tuning."""
+"""Seed of the sampled strengths; strengths of other seeds were used in tuning."""
 _SPREAD = 0.2  # share by which a strength may be another
 _INTEGERS = ("count", "bits", "quality", "yuyv", "Hz")
 ALWAYS, RUN, REFERENCES = "always", "run", "references"
@@ -22,7 +22,7 @@ ALWAYS, RUN, REFERENCES = "always", "run", "references"
 
 @dataclass(frozen=True)
 class Kind:
-    """One trouble: its name, the fields that it sets, in the units of files, and when."""
+    """One fault: its name, the fields that it sets in the units of files, and its period."""
 
     name: str
     table: Mapping[str, Any]
@@ -31,7 +31,7 @@ class Kind:
 
     @property
     def faults(self) -> CameraFaults:
-        """Fault settings of a camera."""
+        """Return the fault settings of a camera."""
         return from_table(CameraFaults, self.table, self.name)
 
 
@@ -152,5 +152,5 @@ _ENTRIES = {entry.key: entry for entry in entries(CameraFaults).values()}
 
 
 def _off(key: str) -> float:
-    """The value at which a trouble is none."""
+    """Return the value of a fault parameter without the fault."""
     return {"gamma": 1.0, "white_DN": 255.0}.get(key, 0.0)

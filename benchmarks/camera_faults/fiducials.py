@@ -44,8 +44,10 @@ _TURNS = 3  # of both sensors, in turn, for the time
 def run(
     out: Path, *, quick: bool = False, notify: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
-    """Both sensors under each of `NAMES`, after the references; `quick`: one seed, and every fourth
-    trouble."""
+    """Evaluate both sensors under each fault of `NAMES`, present after the references.
+
+    With `quick`, one seed and every fourth fault are evaluated.
+    """
     notify = notify or Progress().message
     seeds = GRASP_SEEDS[: 1 if quick else None]
     grasps = {}
@@ -60,14 +62,17 @@ def run(
         "stamp": stamp(),
         "grasp_seeds": list(seeds),
         "rows": rows,
-        "ms": _prices(grasps, 1 if quick else _TURNS),
+        "ms": _times(grasps, 1 if quick else _TURNS),
     }
 
 
 def _rows(
     sensor: str, seed: int, grasp: Grasp, names: Sequence[str], notify: Callable[[str], None]
 ) -> list[dict[str, Any]]:
-    """One grasp under each trouble, with the gauge and without; the first is none."""
+    """Evaluate one grasp under each fault, with and without the pressure sensor.
+
+    The first row is the one without a fault.
+    """
     rows = []
     clean: Sequence[ReplayResult] = ()
     for kind in kinds():
@@ -97,8 +102,8 @@ def _row(grasp: Grasp, estimated: ReplayResult, clean: ReplayResult) -> dict[str
     }
 
 
-def _prices(grasps: Mapping[str, Grasp], turns: int) -> dict[str, float]:
-    """Processor time of an image, ms, the least of several runs in turn."""
+def _times(grasps: Mapping[str, Grasp], turns: int) -> dict[str, float]:
+    """Measure the processor time per image, ms: the minimum over several runs in turn."""
     clean = next(kind for kind in kinds() if kind.name == "none")
     spent: dict[str, list[float]] = {sensor: [] for sensor in grasps}
     for _ in range(turns):
@@ -110,7 +115,7 @@ def _prices(grasps: Mapping[str, Grasp], turns: int) -> dict[str, float]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown: a row for each trouble, both sensors, over all seeds."""
+    """Format the results over all seeds in Markdown: one row per fault, both sensors."""
     plain, fixed = SENSORS
     seeds = ", ".join(map(str, result["grasp_seeds"]))
     lines = [

@@ -13,7 +13,7 @@ from benchmarks.camera_faults.error_statistics import FAR_N, FAR_SD
 from mjtactile import SimFinger
 
 RADIUS = 12e-3
-# kg of a ball on a sensor that looks up: 0.6 N
+# kg of a ball on an upward sensor: 0.6 N
 MASS = 0.061
 # durations before and after the change, s
 BEFORE = 0.8
@@ -29,7 +29,7 @@ FAULTS: dict[str, Callable[[SimFinger], None]] = {
 
 
 def rows(quick: bool = False) -> list[dict[str, Any]]:
-    """Each trouble with nothing on the sensor, and with a ball; the worst and where it was."""
+    """Measure the errors of each fault without load and under a ball."""
     names = list(FAULTS)[:: 3 if quick else 1]
     return [
         {"fault": name, "held": held, **apply_gas_change(FAULTS[name], held)}
@@ -57,8 +57,10 @@ def apply_gas_change(fault: Callable[[SimFinger], None], held: bool) -> dict[str
 
 
 def scene(mass: float | None) -> tuple[mujoco.MjModel, mujoco.MjData, SimFinger]:
-    """A sensor that looks up, with a ball of `mass` kg on it that can only move up and down, or
-    without."""
+    """Build a scene with an upward sensor, and a ball on it if `mass`, kg, is given.
+
+    The ball can only move vertically.
+    """
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec)
     tip = mjtactile.attach(spec, "dense", site=spec.worldbody.add_site(name="tip"), prefix="f/")
@@ -78,13 +80,13 @@ def errors(
     ball = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, "z")
     found = []
     end = data.time + seconds
-    seen = finger.touch.time
+    last = finger.touch.time
     while data.time < end:
         mjtactile.step(model, data, [finger])
         touch = finger.touch
-        if touch.time <= seen:
+        if touch.time <= last:
             continue
-        seen = touch.time
+        last = touch.time
         true = 0.0 if ball < 0 else float(data.qfrc_constraint[model.jnt_dofadr[ball]])
         off = touch.force_normal - true if touch.status == "ok" else np.nan
         found.append((off, touch.force_normal_sd))
@@ -92,7 +94,7 @@ def errors(
 
 
 def table(found: list[Mapping[str, Any]]) -> list[str]:
-    """Lines of Markdown."""
+    """Format the rows as lines of a Markdown table."""
     lines = [
         "| gas fault | force error, N, without load: rms / worst (from 0.5 s) | under a ball of "
         "0.6 N | ok | far |",

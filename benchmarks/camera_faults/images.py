@@ -1,4 +1,4 @@
-"""A page of pictures: one part of an image under each trouble."""
+"""Figure with one part of an image under each fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PART = (slice(150, 330), slice(230, 410))
 
 
 def render(grasp: Grasp, path: Path) -> None:
-    """The last of three images under each trouble, a part of it."""
+    """Render the figure: a part of the last of three images under each fault."""
     rows = -(-len(TABLES) // _COLUMNS)
     figure = new_figure(path.name, (1.7 * _COLUMNS, 1.95 * rows))
     if figure is None:

@@ -42,7 +42,7 @@ class Grasp(Observer):
 
 
 def record(sensor: str, seed: int) -> Grasp:
-    """Grasp an egg, with nothing wrong."""
+    """Record the grasp of an egg without faults."""
     grasp = Grasp(load_sensor(sensor))
     run_grasp(Scenario(object="egg", controller="gentle", sensor=sensor, seed=seed), [grasp])
     return grasp
@@ -80,8 +80,8 @@ def replay_faults(
     pipelines = [StatefulPipeline(perception.pipeline, perception.state) for _ in gauges]
     touches: list[list[Touch]] = [[] for _ in gauges]
     for image, reading in zip(grasp.images, grasp.readings, strict=True):
-        seen = camera(image) if after else image
+        altered = camera(image) if after else image
         for sensing_pipeline, found, gauge in zip(pipelines, touches, gauges, strict=True):
-            touch = sensing_pipeline.perceive(seen, image.time, reading if gauge else None)
+            touch = sensing_pipeline.perceive(altered, image.time, reading if gauge else None)
             found.append(replace(touch, traction=None, surface=None))  # they are large
     return [ReplayResult(tuple(found)) for found in touches]

@@ -36,7 +36,10 @@ Row = Mapping[str, Any]
 def run(
     out: Path, *, quick: bool = False, resume: bool = False, notify: Notify | None = None
 ) -> dict[str, Any]:
-    """All kinds on each sensor, or every second one; draws the pictures into `out`."""
+    """Evaluate all faults on each sensor and plot example images in `out`.
+
+    With `quick`, every second fault is evaluated.
+    """
     notify = notify or Progress().message
     folder = out / "trust"
     folder.mkdir(parents=True, exist_ok=True)
@@ -61,7 +64,7 @@ def run(
 
 
 def _estimated(sensor: str, grasp: Grasp, kind: Kind) -> dict[str, Any]:
-    """A row: with the gauge, and under "without" the same without."""
+    """Evaluate one fault with the pressure sensor, and under "without" without it."""
     estimated, without = (numbers(grasp, found) for found in replay_faults(grasp, kind))
     return {
         "sensor": sensor,
@@ -96,7 +99,7 @@ def _sums(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown."""
+    """Format the result in Markdown."""
     lines = [*gas_changes.table(result["air"]), ""]
     for sensor in SENSORS:
         rows = [row for row in result["rows"] if row["sensor"] == sensor]

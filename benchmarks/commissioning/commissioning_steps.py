@@ -37,7 +37,7 @@ from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.session import Session
 
 RIG = "emulated_commissioning"
-ASKED = 0.04  # required force error, N
+REQUIRED = 0.04  # required force error, N
 SEEDS = (11, 12, 13)
 HOLD = 60  # images of each grasp's hold that are compared
 _PRESSES = (("press_05", 500.0), ("press_3", 3000.0))
@@ -61,7 +61,7 @@ class Day:
         self.rows: list[dict[str, Any]] = read_json(kept)["steps"] if kept.exists() else []
         self.world = resources.find(RIG, "models/rigs", ".toml")
         self.file = self.folder / "my_gripper.toml"
-        # fitted, it is the same sensor to its calibration files: by its name
+        # the name links the fitted sensor to its calibration files
         self._fitted = self.folder / "fitted" / "dense.toml"
         self.sensor = str(self._fitted) if self._fitted.exists() else "dense"
 
@@ -83,8 +83,9 @@ class Day:
         self._notify(f"{name}: {row}")
 
     def results(self) -> dict[str, Any]:
-        """All that was done."""
-        return {"asked_N": ASKED, "slow": scaled_clock.slow(), "steps": self.rows}
+        """Return the required force error, N, the clock's slow-down and the results of all
+        steps."""
+        return {"asked_N": REQUIRED, "slow": scaled_clock.slow(), "steps": self.rows}
 
     @contextlib.contextmanager
     def hardware(self, seed: int = 0) -> Iterator[EmulatorProcess]:
@@ -100,7 +101,7 @@ class Day:
 
     @contextlib.contextmanager
     def plugged_in(self, file: Path, seed: int = 0) -> Iterator[EmulatorProcess]:
-        """The same, with `file` naming today's ports."""
+        """Run the emulated gripper, and write its current ports to `file`."""
         with self.hardware(seed) as emulator:
             text = file.read_text(encoding="utf-8")
             ends = emulator.endpoints
@@ -114,20 +115,23 @@ class Day:
             yield emulator
 
     def bare(self) -> Path:
-        """A rig file without anything measured."""
+        """Write a rig file without measured values, and return its path."""
         path = self.folder / "bare.toml"
         path.write_text(client_text(self.world, _NOWHERE), encoding="utf-8")
         return path
 
     def set_up(self) -> dict[str, Any]:
-        """`mjtactile setup`: ports, servos and cameras found; the chamber of the finger that is to
-        be pressed is filled. Then calibration files are named."""
+        """Run `mjtactile setup`, then name the calibration files in the rig file.
+
+        It finds ports, servos and cameras. When it asks for an indentation of a finger, the chamber
+        of that finger is filled.
+        """
         like = self.bare()
-        asked: list[str] = []
+        questions: list[str] = []
         pressed: list[Any] = []
 
         def ask(question: str) -> str:
-            asked.append(question)
+            questions.append(question)
             if finger := re.search(r"of the (\w+) finger", question):
                 while pressed:
                     pressed.pop().close(quiet=True)
@@ -160,7 +164,7 @@ class Day:
             named = f'[[camera]]\ncalibration = "{finger}.json"\nfinger = "{finger}"'
             text = text.replace(f'[[camera]]\nfinger = "{finger}"', named)
         self.file.write_text(text, encoding="utf-8")
-        return {"questions": len(asked), "cameras_assigned": right}
+        return {"questions": len(questions), "cameras_assigned": right}
 
     def _as_built_sensor(self, finger: str) -> AsBuiltSensor:
         emulator = load_rig_file(self.world).emulator
@@ -168,7 +172,11 @@ class Day:
         return emulator.as_built_sensor(finger)
 
     def lens(self, finger: str) -> dict[str, Any]:
-        """`calibrate camera` from twelve pictures of a printed board."""
+        """Run `calibrate camera` on twelve images of a printed board.
+
+        Returns:
+            True and estimated focal length and principal point along x, px.
+        """
         photos = self.folder / f"photos_{finger}"
         true = true_design(load_sensor("dense"), self._as_built_sensor(finger)).camera
         photograph_board(photos, true)
@@ -183,7 +191,7 @@ class Day:
             raise MjtactileError(f"calibrate {options[0]}: exit code {code}")
 
     def calibrate(self, *options: str) -> dict[str, Any]:
-        """One `mjtactile calibrate`, on the live rig."""
+        """Run one `mjtactile calibrate` command on the live rig."""
         with self.plugged_in(self.file) as emulator:
             person = Person(emulator)
             with person.at_the_terminal():
@@ -195,7 +203,7 @@ class Day:
         return {"exit_code": code} if code == 0 else {"exit_code": code, "failed": reported[-400:]}
 
     def fit(self) -> dict[str, Any]:
-        """`record` on a stand, and `fit --relaxation`: the left finger's sheet and gas."""
+        """Record on a stand and run `fit --relaxation` for membrane and gas of the left finger."""
         as_built = self._as_built_sensor("left")
         nominal = load_sensor("dense")
         true = true_design(nominal, as_built)
@@ -277,7 +285,7 @@ class Day:
                 rig.close()
 
     def shadow(self) -> dict[str, Any]:
-        """`mjtactile compare-sim` of the first grasp after it all."""
+        """Run `mjtactile compare-sim` on the first grasp after the calibrations."""
         recording = self.folder / "after" / str(SEEDS[0])
         page = self.folder / "shadow"
         code = main(
@@ -290,7 +298,7 @@ class Day:
 
 
 def _since(start: float) -> float:
-    """Seconds of the emulated rig's time since `start`, of the monotonic clock."""
+    """Return the time of the emulated rig since `start`, a time of the monotonic clock, s."""
     return round((time.monotonic() - start) / scaled_clock.slow(), 1)
 
 

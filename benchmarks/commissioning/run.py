@@ -89,7 +89,7 @@ def _hurried() -> Iterator[None]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result as a Markdown table."""
     lines = ["| step | result |", "|---|---|"]
     for row in result["steps"]:
         name = row["step"]

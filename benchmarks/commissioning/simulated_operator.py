@@ -20,7 +20,7 @@ from mjtactile.calibrate.camera import Board
 from mjtactile.core.design import CameraDesign
 
 BOARD = Board(9, 7, 5e-3, 3.75e-3)
-_PIXELS = 60  # of the drawn board a square
+_PIXELS = 60  # per square of the rendered board
 
 
 class Person:
@@ -29,12 +29,12 @@ class Person:
 
     def __init__(self, emulator: Any):
         self._emulator = emulator
-        self._asked = ""
+        self._question = ""
         self.read: list[str] = []
 
     def write(self, text: str) -> None:
         self.read.append(text)
-        self._asked = text if text.strip() else self._asked
+        self._question = text if text.strip() else self._question
 
     def flush(self) -> None:
         pass
@@ -47,13 +47,13 @@ class Person:
 
     def readline(self) -> str:
         truth = self._emulator.truth()
-        if "force limit" in self._asked:
+        if "force limit" in self._question:
             return f"{(truth['contact_1'] + truth['contact_2']) / 2:.3f}\n"
         if (
-            "currents report" in self._asked
+            "currents report" in self._question
         ):  # soft membranes, not inflated: their frames carry a part
             return f"{truth['grip_force']:.3f}\n"
-        if "caliper" in self._asked:
+        if "caliper" in self._question:
             return f"{1e3 * truth['opening']:.2f}\n"
         return "\n"
 

@@ -1,6 +1,6 @@
 """Agreement of membranes in MuJoCo Warp with the CPU's quasi-static membrane: random presses.
 
-Each world has its own object, size, rotation and place. Objects approach in small steps, as in a
+Each world has its own object, size, rotation and position. Objects approach in small steps, as in a
 simulation, and stay for some steps.
 """
 
@@ -23,7 +23,7 @@ from mjtactile.sim.sensor.quasistatic_geoms import sticking_of
 
 KINDS = ("ball", "box", "capsule", "cylinder", "ellipsoid", "mesh")
 _TORSION_MIN = 1e-9  # N m/rad; a contact of a single node has no torsional stiffness
-ASKED = {"force": 0.02, "pressure": 0.01, "shear": 0.05, "torsion": 0.05}
+LIMITS = {"force": 0.02, "pressure": 0.01, "shear": 0.05, "torsion": 0.05}
 _SEED = 4700
 _MARGIN = 6e-3  # of an object's center from the frame, m
 _STEP = 5e-5  # of an approach, m
@@ -127,7 +127,7 @@ def press_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     for row in rows:
-        cells = [f"{100 * row['rms'][name]:.1f} / {100 * row['max'][name]:.1f}" for name in ASKED]
+        cells = [f"{100 * row['rms'][name]:.1f} / {100 * row['max'][name]:.1f}" for name in LIMITS]
         lines.append(f"| {row['kind']} | {row['presses']} | {' | '.join(cells)} |")
     return lines
 

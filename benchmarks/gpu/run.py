@@ -29,11 +29,11 @@ BATCH = {True: 400, False: 8}
 """Pairs that are replayed at once."""
 PAIRS_FILE = "gpu-pairs.jsonl"
 PRESSES = {True: 8, False: 60}
-"""Random presses of each kind of object, in a quick run and else."""
+"""Random presses of each kind of object, in a quick run and otherwise."""
 WORLDS = (4096, 16384, 1024)
 _LIMIT = 400.0
 _TIMED = 260  # control steps, up to the hold
-ASKED = {
+REQUIREMENTS = {
     "control_steps_per_s": 100_000,
     "solutions_per_s": 5_000_000,
     "same_outcome": 0.97,
@@ -113,7 +113,10 @@ def _worlds(count: int, device: str, how: Mapping[str, Any]) -> Any:
 
 
 def _speed(worlds: int, commands: Array, device: str) -> dict[str, Any]:
-    """Time episodes with the same commands in all worlds; nothing waits for the host."""
+    """Measure the speed of episodes with the same commands in all worlds.
+
+    No step waits for the host.
+    """
     import warp as wp
 
     before = wp.get_device(device).free_memory
@@ -144,7 +147,7 @@ def _speed(worlds: int, commands: Array, device: str) -> dict[str, Any]:
 
 
 def _solutions(count: int, device: str) -> dict[str, Any]:
-    """Time warm solutions under a ball that approaches by 42 um a step."""
+    """Measure the time of warm solutions under a ball that approaches by 42 um per step."""
     import warp as wp
 
     from mjtactile.warp import Membranes

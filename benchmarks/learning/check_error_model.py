@@ -42,7 +42,7 @@ def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
 
 
 def _sampled(errors: SensingErrorModel, wrenches: Array) -> Array:
-    """(n,) N: an error of the normal force for each wrench, as it would be drawn."""
+    """Sample an error of the normal force, N, for each wrench (n, 6); return (n,)."""
     rng = np.random.default_rng(0)
     found = []
     for wrench in wrenches:

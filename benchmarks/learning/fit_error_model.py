@@ -40,14 +40,14 @@ _DRAGGED = 0.05  # minimum shear force for a grasp's shear gain, N
 _MEDIAN = 0.6745  # median magnitude of a normal variable, over its sd
 _LOADED = 0.1  # minimum normal force for a grasp's own error factor, N
 _FEW = 30
-"""Images at a load, from which on it is fitted to them alone."""
+"""Minimum number of images at a load for a fit to these images alone."""
 _FEW_OF_GRASP, _FEW_GRASPS = 8, 16  # images of a grasp at a load, and grasps
 _GOES_WITH = ([], [], [], [3, 1], [4, 0], [5])
 """Wrench components that the mean error of each component is proportional to; the shear error is
 specific to each grasp."""
 _RIDGE = 0.01
 WORLDS = {"errors": "none", "varied": "default"}
-"""Name of a set of errors in the file, and the variation that it is measured under."""
+"""Name of a set of errors in the file, and the randomization during its measurement."""
 
 Rows = dict[str, Array]
 Notify = Callable[[str], None]
@@ -56,7 +56,7 @@ Notify = Callable[[str], None]
 def run(
     out: Path, *, quick: bool = False, sensor: str = "dense", notify: Notify | None = None
 ) -> dict[str, Any]:
-    """Grip, fit, write the design's file of errors, and check it on the other half of the seeds."""
+    """Fit and write the error model of a design, and check it on the other half of the seeds."""
     notify = notify or Progress().message
     design = load_sensor(sensor)
     count = GRASPS_QUICK if quick else GRASPS
@@ -79,7 +79,7 @@ def run(
 
 def _grasps(sensor: str, randomization: str, count: int, notify: Notify) -> Iterator[Rows]:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        notify(f"drawn: --randomization {randomization}, grasp {seed - FIRST_SEED + 1} of {count}")
+        notify(f"--randomization {randomization}, grasp {seed - FIRST_SEED + 1} of {count}")
         scenario = Scenario(
             object=f"random:{seed}",
             seed=seed,
@@ -90,11 +90,11 @@ def _grasps(sensor: str, randomization: str, count: int, notify: Notify) -> Iter
         try:
             yield squeeze(scenario)
         except MjtactileError as error:
-            notify(f"drawn: seed {seed}: {error}")
+            notify(f"seed {seed}: {error}")
 
 
 def joined(grasps: Sequence[Rows]) -> Rows:
-    """All rows of some grasps, one after the other."""
+    """Concatenate the rows of several grasps."""
     return {name: np.concatenate([grasp[name] for grasp in grasps]) for name in grasps[0]}
 
 
@@ -117,7 +117,7 @@ def fit(rows: Rows) -> SensingErrorModel:
     z = (left - near @ mean) / (near @ sd) / between[:, None]
     far = np.asarray((np.abs(z) > _OUTLIER).any(axis=1))
     deviation, average = _alone(left, estimated)
-    # var(b - (a + c) / 2) of white noise is 3/2 of its own
+    # white noise: var(b - (a + c) / 2) is 3/2 of var(b)
     noise = _median_at(np.abs(deviation.mean(axis=0)), near[average]) / _MEDIAN / math.sqrt(1.5)
     fresh = np.minimum(noise, sd)
     # a step that stays is none
@@ -169,7 +169,7 @@ def _taken(rows: Rows, which: Array) -> Rows:
 
 
 def _shares(load: Array) -> Array:
-    """(n, k) How much each row counts for each of LOADS: 1 at it, 0 at the next."""
+    """Return the weight (n, k) of each row at each of LOADS: 1 at the load, 0 at the next."""
     at = np.clip(load, LOADS[0], LOADS[-1])
     return np.stack([np.interp(at, LOADS, one) for one in np.eye(len(LOADS))], axis=1)
 
@@ -220,8 +220,10 @@ def _shear_gains(true: Array, error: Array, rows: Rows) -> tuple[Array, float]:
 
 
 def _mean_at(values: Array, fraction: Array) -> Array:
-    """(k, m) Mean of `values` (n, m) at each load; where few are, as at the nearest load with
-    enough."""
+    """Return the mean (k, m) of `values` (n, m) at each load.
+
+    A load with too few images gets the mean of the nearest load with enough.
+    """
     weight = fraction.sum(axis=0)
     mean = fraction.T @ values / np.maximum(weight, 1e-9)[:, None]
     enough = np.flatnonzero(weight >= _FEW)
@@ -232,7 +234,7 @@ def _mean_at(values: Array, fraction: Array) -> Array:
 
 
 def _moments(values: Array, fraction: Array) -> tuple[Array, Array]:
-    """Mean and sd (k, m) at each load."""
+    """Return mean and standard deviation (k, m) at each load."""
     mean = _mean_at(values, fraction)
     off = values - fraction @ mean
     return mean, np.maximum(np.sqrt(_mean_at(off**2, fraction)), 1e-9)
@@ -285,7 +287,7 @@ def _typical(
 
 
 def _each(rows: Rows) -> Iterator[Array]:
-    """(n,) Which rows are a grasp's and finger's, for each."""
+    """Yield the mask (n,) of the rows of each grasp and finger."""
     for seed in np.unique(rows["seed"]):
         for finger in np.unique(rows["finger"]):
             own = (rows["seed"] == seed) & (rows["finger"] == finger)
@@ -306,7 +308,7 @@ def _root_mean_square(values: Array) -> Array:
 
 
 def _between(z: Array, rows: Rows) -> Array:
-    """(n,) Root mean square of a row's grasp and finger, over the rows that press."""
+    """Return for each row (n,) the rms value of its grasp and finger, over the loaded rows."""
     factors = np.ones(len(z))
     pressed = -rows["wrench"][:, 2] > _LOADED
     for own in _each(rows):
@@ -320,7 +322,7 @@ def _correlation(z: Array) -> Array:
 
 
 def _correlation_of(cov: Array) -> Array:
-    """Made positive definite, with ones on its diagonal."""
+    """Return the nearest positive definite correlation matrix, with ones on its diagonal."""
     sd = np.sqrt(np.diag(cov))
     values, vectors = np.linalg.eigh(cov / np.outer(sd, sd))
     positive = (vectors * np.maximum(values, 1e-3)) @ vectors.T
@@ -336,18 +338,20 @@ def _alone(left: Array, rows: Rows) -> tuple[Array, Array]:
         indices (m,) of the rows: those with two neighbors.
     """
     found = []
-    middles = []
+    inner = []
     for which in _each(rows):
         own = np.flatnonzero(which)
         here = left[own[1:-1]]
         found.append(np.stack([here - left[own[:-2]], here - left[own[2:]]]))
-        middles.append(own[1:-1])
-    return np.concatenate(found, axis=1), np.concatenate(middles)
+        inner.append(own[1:-1])
+    return np.concatenate(found, axis=1), np.concatenate(inner)
 
 
 def _median_at(values: Array, fraction: Array) -> Array:
-    """(k, m) Median of `values` (n, m) of the images nearest to each load; where few are, as at the
-    nearest load with enough."""
+    """Return the median (k, m) of `values` (n, m) over the images nearest to each load.
+
+    A load with too few images gets the median of the nearest load with enough.
+    """
     nearest = fraction.argmax(axis=1)
     counts = np.bincount(nearest, minlength=len(LOADS))
     enough = np.flatnonzero(counts >= _FEW)
@@ -385,7 +389,7 @@ def _memory(z: Array, rows: Rows) -> float:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The check as Markdown."""
+    """Format the check as a Markdown table."""
     grasps = " and ".join(str(check["grasps"]) for check in result["checks"].values())
     words = {"errors": "nominal", "varied": "`--randomization default`"}
     lines = [

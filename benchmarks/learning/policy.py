@@ -44,7 +44,7 @@ Notify = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
-    """Learn, evaluate and time; a quarter of an hour on two cores.
+    """Learn, evaluate and time a policy; it takes a quarter of an hour on two cores.
 
     Args:
         out: Folder; the policy is stored in its policy.npz.
@@ -100,7 +100,7 @@ def _evaluate(saved: Path, effects: str, episodes: int) -> dict[str, Any]:
 
 
 def _time_page(out: Path, decisions: int) -> dict[str, float]:
-    """The lines that learn, out of the page, with fewer decisions."""
+    """Run the page's lines that learn, with fewer decisions, and return their duration, s."""
     lines = ten_lines(PAGE.read_text(encoding="utf-8"))
     meant = re.search(r"learn\(([\d_]+)\)", lines)
     assert meant is not None
@@ -113,7 +113,7 @@ def _time_page(out: Path, decisions: int) -> dict[str, float]:
 
 
 def ten_lines(page: str) -> str:
-    """The page's lines that learn a policy.
+    """Return the page's lines that learn a policy.
 
     Args:
         page: docs/how-to/train.md.
@@ -169,7 +169,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _some(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A few of the rows, evenly in time, the last among them."""
+    """Return a few of the rows, evenly spaced in time; the last row is included."""
     chosen = np.unique(np.linspace(0, len(rows) - 1, SHOWN).round().astype(int))
     return [rows[k] for k in chosen]
 
@@ -187,5 +187,5 @@ def _evaluation_row(name: str, evaluated: Mapping[str, Any]) -> str:
 
 
 def _known(value: float | None, digits: int) -> str:
-    """None: no episode has come so far that it has one."""
+    """Format a value; "-" for None, which means that no episode has finished yet."""
     return "-" if value is None else f"{value:.{digits}f}"

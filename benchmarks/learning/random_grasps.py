@@ -29,7 +29,8 @@ _TIME = 3.0  # duration after the first contact of both fingers, s
 
 
 class Squeezer:
-    """Its goals are drawn from `seed`: a force that changes every now and then, and heights."""
+    """Controller with goals sampled from `seed`: a force that changes at random times, and
+    heights."""
 
     path = Path("squeeze.py")
 

@@ -51,7 +51,7 @@ Notify = Callable[[str], None]
 def run(
     out: Path, *, quick: bool = False, pairs: int | None = None, notify: Notify | None = None
 ) -> dict[str, Any]:
-    """Measure everything; `pairs` of episodes."""
+    """Measure everything, with `pairs` paired episodes."""
     notify = notify or Progress().message
     speeds = {}
     for name, effects in LEVELS.items():
@@ -96,7 +96,7 @@ def grip(shown: Array, phase: str) -> Array:
 
 
 def _speed(effects: str, episodes: int) -> dict[str, float]:
-    """Steps in a second of processor, and processor seconds of a reset."""
+    """Measure steps per second of processor time, and processor time of a reset, s."""
     env = GraspEnv(effects=effects)
     steps = 0
     spent = 0.0
@@ -117,7 +117,7 @@ def _speed(effects: str, episodes: int) -> dict[str, float]:
 
 
 def _together(threads: int, quick: bool) -> float:
-    """Steps a second by the clock, of all environments, over a whole grasp of each."""
+    """Return the steps per second of wall time of all environments, over a whole grasp of each."""
     envs = gymnasium.make_vec(mjtactile.gym.ID, num_envs=TOGETHER, effects=SAMPLED, threads=threads)
     shown, info = envs.reset(seed=0)
     steps = _STEPS_QUICK if quick else _STEPS
@@ -135,7 +135,7 @@ def _together(threads: int, quick: bool) -> float:
 
 
 def _pair(seed: int, number: int, count: int, notify: Notify) -> dict[str, Any]:
-    """The same episode at three levels."""
+    """Run the same episode at three levels."""
     row: dict[str, Any] = {"seed": seed}
     for effects in PAIRED:
         notify(f"learning: episode {number + 1} of {count}, {effects}")
@@ -221,11 +221,11 @@ envs.reset(seed=0)
 status = Path("/proc/self/status").read_text().split()
 print(float(status[status.index("VmHWM:") + 1]) / 1024)
 """
-"""The most that was resident since the process began: `getrusage` has its parent's in it."""
+"""Program that prints its maximum resident memory; `getrusage` would include the parent's."""
 
 
 def _memory(count: int) -> dict[str, float]:
-    """MB of a process with one environment, and with so many; Linux only."""
+    """Measure the memory of a process with one and with `count` environments, MB; Linux only."""
     return {"count": count, "one": _alone(_MANY, 1), "many": _alone(_MANY, count)}
 
 
@@ -246,7 +246,7 @@ _LABELS = {
 
 
 def table(result: dict[str, Any]) -> str:
-    """All of it as Markdown."""
+    """Format the result in Markdown."""
     lines = ["| level | `effects` | steps per second of one core | reset, s |", "|---|---|---|---|"]
     lines += [
         f"| {_LABELS.get(name, name)} | `{LEVELS[name]}` | {row['steps_a_second']:.0f} | "

@@ -94,13 +94,15 @@ class MembraneModel:
         return ax.breaks, ay.breaks
 
     def basis(self, X: Array) -> Array:
-        """Spline basis (N, K) at material points X (N, 2)."""
+        """Evaluate the spline basis (N, K) at material points X (N, 2)."""
         a, b = (axis.at(x) for axis, x in zip(self._axes, X.T, strict=True))
         return (a[:, :, None] * b[:, None, :]).reshape(len(X), -1)
 
     def _bending(self) -> Array:
-        """Integral of u,11^2 + 2 u,12^2 + u,22^2 as a quadratic form (K, K), in units in which a
-        marker counts one."""
+        """Return the integral of u,11^2 + 2 u,12^2 + u,22^2 as a quadratic form (K, K).
+
+        It is scaled by the area per marker.
+        """
         ax, ay = self._axes
         gram = [
             [(a.at(a.points, d).T * a.weights) @ a.at(a.points, d) for d in range(3)]
@@ -114,8 +116,10 @@ class MembraneModel:
         return form * self.design.markers.pitch_x * self.design.markers.pitch_y
 
     def fit(self, ids: NDArray[np.int64], p_SM: Array) -> Array:
-        """Kernel weights alpha (N, 3) from identified markers at `p_SM` (n, 3) in S; zero for those
-        not seen."""
+        """Fit kernel weights alpha (N, 3) to identified markers at `p_SM` (n, 3), m in S.
+
+        The weights of missing markers are zero.
+        """
         displacement = p_SM.copy()
         displacement[:, :2] -= self.material[ids]
         alpha = np.zeros((len(self.material), 3))
@@ -123,7 +127,7 @@ class MembraneModel:
         return alpha
 
     def fields(self, alpha: Array) -> Fields:
-        """Positions and deformation gradients at the quadrature points."""
+        """Return positions and deformation gradients at the quadrature points."""
         x, along_1, along_2 = (self._operator @ alpha).reshape(3, -1, 3)
         x[:, :2] += self.X
         F = np.stack([along_1, along_2], axis=2)
@@ -132,7 +136,7 @@ class MembraneModel:
         return Fields(x, F)
 
     def displacement(self, alpha: Array, X: Array) -> Array:
-        """Displacement (n, 3) m of material points X (n, 2)."""
+        """Return the displacement (n, 3), m, of material points X (n, 2)."""
         return self.basis(X) @ (self._kernel @ alpha)
 
     def first_piola(self, fields: Fields) -> Array:
@@ -147,17 +151,21 @@ class MembraneModel:
         return np.einsum("qia,qab->qib", fields.F, S)
 
     def area(self, fields: Fields) -> float:
-        """Area of the deformed membrane, m^2."""
+        """Return the area of the deformed membrane, m^2."""
         return float(self.weights @ np.linalg.norm(fields.normal_area, axis=1))
 
     def volume(self, fields: Fields) -> float:
-        """Signed volume between the membrane and the frame's plane, m^3: the integral of z N_z
-        (divergence theorem)."""
+        """Return the signed volume between the membrane and the frame's plane, m^3.
+
+        It is the integral of z N_z (divergence theorem).
+        """
         return float(self.weights @ (fields.x[:, 2] * fields.normal_area[:, 2]))
 
     def plateau(self, taper: float) -> tuple[Array, Array]:
-        """Test function phi (Q,) that is 1 away from the frame and falls to 0 over `taper` m, and
-        its gradient (Q, 2)."""
+        """Return the test function phi (Q,) and its gradient (Q, 2).
+
+        phi is 1 away from the frame and falls to 0 over `taper` m.
+        """
         values = []
         slopes = []
         for axis, coordinate in zip(self._axes, self.X.T, strict=True):

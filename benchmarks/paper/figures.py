@@ -1,4 +1,4 @@
-"""Figures of the experiments; each `draw_*` fills a matplotlib figure from the data of its
+"""Figures of the experiments; each `plot_*` fills a matplotlib figure from the data of its
 experiment."""
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def save(name: str, result: Mapping[str, Any], out: Path) -> None:
 
 
 def plot_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
-    """Estimate against load cell; under it the change of area that dF = c dA rests on."""
+    """Plot estimate against load cell, and the change of area that dF = c dA uses."""
     axes = figure.subplots(2, len(result["runs"]), squeeze=False, sharex="col")
     for column, run in enumerate(result["runs"]):
         cell = [s["cell_N"] for s in run["steps"]]
@@ -55,7 +55,7 @@ def plot_fig5a(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def plot_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
-    """Force against how far the sensor was driven in, and against the object's own deformation."""
+    """Plot force against the sensor's travel and against the object's own deformation."""
     total, own = figure.subplots(1, 2)
     for name, colour in _COLOURS.items():
         curve = result[name]
@@ -87,7 +87,7 @@ def plot_fig5b(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def plot_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
-    """Force over time."""
+    """Plot force over time."""
     axes = figure.subplots()
     for name, colour in _COLOURS.items():
         axes.plot(
@@ -111,7 +111,7 @@ def plot_fig5c(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def plot_fig6(figure: Any, result: Mapping[str, Any]) -> None:
-    """Error of every circle, and its histogram against the paper's mean."""
+    """Plot the error of every circle, and the histogram with the paper's mean."""
     each, spread = figure.subplots(1, 2)
     errors = np.asarray(result["distance_error_mm"])
     each.plot(errors, ".", ms=4)
@@ -124,8 +124,10 @@ def plot_fig6(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
-    """Image, reconstruction with forces (sign inverted, as in the paper), force field
-    from above."""
+    """Plot the image, the reconstruction with forces and the force field from above.
+
+    The sign of the forces is inverted, as in the paper.
+    """
     for row, (name, data) in enumerate(result.items()):
         image = figure.add_subplot(len(result), 3, 3 * row + 1)
         image.imshow(data["image"], cmap="gray")
@@ -154,7 +156,7 @@ def plot_fig7(figure: Any, result: Mapping[str, Any]) -> None:
 
 
 def plot_pressure(figure: Any, result: Mapping[str, Any]) -> None:
-    """Stiffness and noise against pressure, and against the amount of air."""
+    """Plot stiffness and noise against pressure, and against the amount of air."""
     runs = [run for run in result["runs"] if run["valve"] == "closed"]
     airs = [run["air_mL"] for run in runs]
     axes = figure.subplots(1, 2)

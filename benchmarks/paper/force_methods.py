@@ -30,7 +30,10 @@ def spring_grid_force(surface: Surface, rest: Surface, tension: float) -> Array:
 
 
 def _spring_pull(surface: Surface, tension: float) -> Array:
-    """Sum of the four spring forces on every inner node, zeros on the rim, (ny, nx, 3) N."""
+    """Return the sum of the four spring forces on every inner node, (ny, nx, 3), N.
+
+    Nodes on the rim have zeros.
+    """
     x = surface.x
     y = surface.y
     z = surface.z
@@ -93,7 +96,7 @@ class MembraneForce:
         )
 
     def gauge_pressure(self, fields: Fields, rest: RestState) -> float:
-        """Gauge pressure, Pa, from the gas volume under the membrane (Eq. G1)."""
+        """Return the gauge pressure, Pa, from the gas volume under the membrane (Eq. G1)."""
         if not rest.sealed:
             return rest.pressure - self.design.chamber.ambient
         ratio = rest.volume / self.gas_volume(fields)
@@ -103,11 +106,11 @@ class MembraneForce:
         )
 
     def gas_volume(self, fields: Fields) -> float:
-        """Chamber and bulge, m^3."""
+        """Return the gas volume of chamber and bulge, m^3."""
         return self.design.chamber_volume_flat + self.model.volume(fields)
 
     def _terms(self, fields: Fields) -> tuple[Array, Array]:
-        """Elastic wrench (6,), and the wrench (6,) of one pascal of pressure."""
+        """Return the elastic wrench (6,), and the wrench (6,) per pascal of pressure."""
         w = self.model.weights
         stress = np.einsum("qia,qa->qi", self.model.first_piola(fields), self._grad_phi)
         area = self._phi[:, None] * fields.normal_area
@@ -119,7 +122,7 @@ class MembraneForce:
     def rest_state(
         self, markers: Markers, gauge_pressure: float, *, sealed: bool = True
     ) -> RestState:
-        """Calibrate on a state with nothing touching and a known gauge pressure, Pa.
+        """Calibrate without contact at a known gauge pressure, Pa.
 
         The ratio of pressure force to elastic force absorbs an error of Young's modulus, thickness
         or pre-stretch. A flat membrane (no pressure) carries no information on stiffness: then the
@@ -140,8 +143,7 @@ class MembraneForce:
         return replace(rest, jacobian=self._jacobian(markers, rest))
 
     def _jacobian(self, markers: Markers, rest: RestState) -> Array:
-        """d(wrench)/d(p_SM) at rest by central differences, (6, N, 3) over all the layout's
-        markers."""
+        """Return d(wrench)/d(p_SM) (6, N, 3) at rest for all markers, by central differences."""
         step = 1e-5
         jacobian = np.zeros((6, self.design.markers.count, 3))
         for row, marker in enumerate(markers.ids):
@@ -158,17 +160,24 @@ class MembraneForce:
         return self.model.fields(self.model.fit(ids, p_SM))
 
     def wrench(self, ids: NDArray[np.int64], p_SM: Array, rest: RestState) -> tuple[Array, float]:
-        """Net contact wrench (6,) on the membrane in S (N, N m), and the gauge pressure, Pa, from
-        marker positions."""
+        """Compute the contact wrench (6,) on the membrane in S, N and N m, from marker positions.
+
+        Returns:
+            The net wrench, and the gauge pressure, Pa.
+        """
         return self.wrench_of(self._fields(ids, p_SM), rest)
 
     def wrench_of(self, fields: Fields, rest: RestState) -> tuple[Array, float]:
-        """The same from the deformation itself."""
+        """Compute the contact wrench (6,) on the membrane in S, N and N m, from the deformation.
+
+        Returns:
+            The net wrench, and the gauge pressure, Pa.
+        """
         elastic, push = self._terms(fields)
         gauge = self.gauge_pressure(fields, rest)
         return rest.stiffness_scale * elastic - gauge * push - rest.offset, gauge
 
     def wrench_cov(self, markers: Markers, rest: RestState) -> Array:
-        """Covariance (6, 6) that the marker covariances imply."""
+        """Return the wrench covariance (6, 6) that follows from the marker covariances."""
         J = rest.jacobian[:, markers.ids]
         return np.einsum("fni,nij,gnj->fg", J, markers.cov_p, J, optimize=True)

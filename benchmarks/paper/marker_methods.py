@@ -91,8 +91,11 @@ def opencv_ellipses(image: Array) -> Ellipses:
 
 
 def blob_centres(image: Array) -> Array:
-    """`cv2.SimpleBlobDetector`: a blob's middle and mean diameter as if every circle were
-    face-on."""
+    """Return circle centres from `cv2.SimpleBlobDetector`, as if every circle faced the camera.
+
+    The position in the image is the center of the blob, the distance follows from its mean
+    diameter.
+    """
     parameters = cv2.SimpleBlobDetector_Params()
     parameters.filterByArea = True
     parameters.minArea = 30.0
@@ -147,7 +150,7 @@ def chord_noise(images: int, seed: int = 3) -> dict[str, dict[str, float]]:
 
 
 def _ellipses(rims: Array) -> Ellipses:
-    """Least-squares ellipses through points (N, K, 2)."""
+    """Fit least-squares ellipses to points (N, K, 2), px."""
     midpoint = rims.mean(axis=1, keepdims=True)
     size = np.abs(rims - midpoint).max()
     x, y = np.moveaxis((rims - midpoint) / size, 2, 0)
@@ -208,7 +211,11 @@ def board_from_name(images: int, seed: int = 4) -> dict[str, dict[str, float]]:
 
 
 def _solve_board(layout: Array, uv: Array) -> tuple[Array, Array]:
-    """`cv2.solvePnP`: the board's points (N, 3) in the camera frame, and its rotation."""
+    """Solve the board's pose with `cv2.solvePnP`.
+
+    Returns:
+        The board's points (N, 3) in the camera frame, m, and its rotation (3, 3).
+    """
     _, rotation, shift = cv2.solvePnP(layout, uv, CAMERA.K, np.zeros(5))
     angle = cv2.Rodrigues(rotation)[0]
     return layout @ angle.T + shift.T, angle
@@ -266,8 +273,11 @@ def small_circles(images: int, seed: int = 5) -> list[dict[str, Any]]:
 
 
 def cheap_camera(coverage: Array, seed: int) -> Array:
-    """Colour image (H, W, 3): paper over-exposed by a fifth, noise, a Bayer mosaic, gamma, OpenCV's
-    edge-aware demosaicing, sharpening, and both ends clipped."""
+    """Simulate the color image (H, W, 3) of a cheap camera.
+
+    The paper is over-exposed by a fifth. Noise, a Bayer mosaic, gamma, OpenCV's edge-aware
+    demosaicing, sharpening and clipping follow.
+    """
     light = 1.2 - 1.1 * coverage + np.random.default_rng(seed).normal(0, 0.01, coverage.shape)
     raw = np.rint(255 * np.clip(light, 0, 1) ** (1 / 2.2)).astype(np.uint8)
     colour = cv2.cvtColor(raw, cv2.COLOR_BayerBG2BGR_EA).astype(np.float32)

@@ -33,7 +33,7 @@ class Circle:
 
 
 def rim_px(camera: optics.Camera, circle: Circle, count: int = _RIM) -> Array:
-    """Pixels (count, 2) of points around the circle's rim."""
+    """Return the pixels (count, 2) of points around the circle's rim."""
     n = circle.n_C / np.linalg.norm(circle.n_C)
     first = np.cross(n, [0.0, 1.0, 0.0] if abs(n[1]) < 0.9 else [1.0, 0.0, 0.0])
     first /= np.linalg.norm(first)
@@ -44,8 +44,10 @@ def rim_px(camera: optics.Camera, circle: Circle, count: int = _RIM) -> Array:
 
 
 def coverage(camera: optics.Camera, circles: Sequence[Circle], blur_px: float) -> Array:
-    """Share (H, W) in 0..1 of each pixel that the circles cover, after blur by a Gaussian of sd
-    `blur_px`."""
+    """Return the fraction (H, W) of each pixel that the circles cover.
+
+    The fraction is blurred by a Gaussian with standard deviation `blur_px`.
+    """
     total = np.zeros((camera.height, camera.width))
     margin = int(np.ceil(5 * blur_px)) + 2
     for circle in circles:
@@ -66,8 +68,8 @@ def coverage(camera: optics.Camera, circles: Sequence[Circle], blur_px: float) -
 
 @lru_cache(64)
 def _pixels_of_cells(count: int, blur_px: float) -> Array:
-    """Matrix (count, count * SUPER) that blurs a line of fine cells and averages those of each
-    pixel."""
+    """Return the matrix (count, count * SUPER) that blurs a line of fine cells and averages them
+    per pixel."""
     lines = np.eye(count * SUPER)
     if blur_px > 0:
         size = round(8 * blur_px * SUPER + 1) | 1  # four sd on each side
@@ -77,7 +79,10 @@ def _pixels_of_cells(count: int, blur_px: float) -> Array:
 
 
 def _fill(polygon: Array, size: NDArray) -> Array:
-    """Coverage of the cells of a (size[1], size[0]) grid by a convex polygon in cell units."""
+    """Compute the coverage of the cells of a (size[1], size[0]) grid by a convex polygon.
+
+    The polygon is in cell units.
+    """
     width = int(size[0])
     height = int(size[1])
     top = int(polygon[:, 1].argmin())
@@ -112,8 +117,10 @@ def image(
     seed: int | None = 0,
     light: Callable[[Array, Array], Array] | None = None,
 ) -> NDArray[np.uint8]:
-    """8-bit image of dark circles on a bright ground; `light(u, v)` multiplies the scene, `seed`
-    None: no noise."""
+    """Render an 8-bit image of dark circles on a bright ground.
+
+    `light(u, v)` multiplies the scene. `seed` None: no noise.
+    """
     scene = exact_image(
         camera, circles, blur_px=blur_px, dark_dn=dark_dn, bright_dn=bright_dn, light=light
     )
@@ -131,7 +138,7 @@ def exact_image(
     bright_dn: float = 180.0,
     light: Callable[[Array, Array], Array] | None = None,
 ) -> Array:
-    """The image (H, W) before noise and rounding, in grey levels."""
+    """Render the image (H, W) before noise and rounding, in gray levels."""
     scene = bright_dn + (dark_dn - bright_dn) * coverage(camera, circles, blur_px)
     if light is not None:
         v, u = np.mgrid[: camera.height, : camera.width].astype(float)
@@ -149,8 +156,10 @@ def random_circles(
     depth: tuple[float, float] = (0.03, 0.06),
     tilt_deg: tuple[float, float] = (0.0, 45.0),
 ) -> list[Circle]:
-    """Circles on a jittered grid in the image, each at a random depth and tilt, like the paper's
-    Fig. 6."""
+    """Sample circles on a jittered grid in the image, with random depth and tilt.
+
+    Defaults resemble Fig. 6 of the paper.
+    """
     circles = []
     cell = np.array([camera.width / columns, camera.height / rows])
     for row in range(rows):

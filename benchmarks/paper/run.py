@@ -27,7 +27,7 @@ from mjtactile.sim.scenes.indentation import Indenter
 
 CYLINDER = Indenter("cylinder", 6e-3)
 SPONGE = Pad("pad", 6e-3, stiffness=250.0, stiffening=2.5e5)
-# of Figs. 5a and 5c: on the default's vertices, 3.3 mm apart, the cylinder's face is no circle
+# Figs. 5a and 5c: the default's vertices, 3.3 mm apart, do not resolve the cylinder's face
 MESH = (33, 25)
 DEPTHS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3)  # the paper's 1 mm increments, up to about its 2.5 N
 # speed and depth of Fig. 5c, m/s and m
@@ -39,8 +39,10 @@ Notify = Callable[[str], None]
 
 
 def fig5a(notify: Notify, quick: bool = False) -> dict[str, Any]:
-    """Load cell against estimate in 1 mm increments, valve closed and open: statics, and the
-    paper's dF = c dA."""
+    """Compare load cell and estimate in 1 mm increments, valve closed and open.
+
+    Methods are statics and the paper's dF = c dA.
+    """
     rows = []
     for name in ("dense",) if quick else ("dense", "paper16", "fine"):
         for sealed in (True, False):
@@ -62,20 +64,23 @@ def fig5a(notify: Notify, quick: bool = False) -> dict[str, Any]:
 def _increments(
     design: SensorDesign, indenter: Indenter, *, sealed: bool, depths: Sequence[float]
 ) -> dict[str, Any]:
-    """One press in steps. c is fitted to the same points, the best case for the paper's method."""
+    """Press in steps and estimate the force at each.
+
+    c is fitted to the same points, the best case for the paper's method.
+    """
     station = TestBench(design, indenter, mesh=MESH)
     station.zero(sealed=sealed)
     rest = station.measure(10)
     steps = []
     for depth in depths:
         station.world.press(depth)
-        seen = station.measure(5)
+        measured = station.measure(5)
         steps.append(
             {
                 "depth_mm": 1e3 * depth,
                 "cell_N": station.load_cell(),
-                "ours_N": seen["force_N"],
-                "area_change_mm2": seen["membrane_area_mm2"] - rest["membrane_area_mm2"],
+                "ours_N": measured["force_N"],
+                "area_change_mm2": measured["membrane_area_mm2"] - rest["membrane_area_mm2"],
             }
         )
     cell = np.array([s["cell_N"] for s in steps])
@@ -99,8 +104,10 @@ def _increments(
 
 
 def fig5b(notify: Notify, quick: bool = False) -> dict[str, Any]:
-    """Force against deformation, solid cylinder and sponge of the same face: linear and parabolic
-    fits."""
+    """Measure force against deformation of a solid cylinder and of a sponge with the same face.
+
+    A line and a parabola are fitted to each.
+    """
     depths = np.arange(5e-4, 4.01e-3, 1e-3 if quick else 2.5e-4)
     curves = {}
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
@@ -110,9 +117,9 @@ def fig5b(notify: Notify, quick: bool = False) -> dict[str, Any]:
         given = []
         for depth in depths:
             station.world.press(float(depth))
-            seen = station.measure(2)
-            estimated.append(seen["force_N"])
-            given.append(float(depth) - seen["indentation_mm"] * 1e-3)
+            measured = station.measure(2)
+            estimated.append(measured["force_N"])
+            given.append(float(depth) - measured["indentation_mm"] * 1e-3)
         curves[name] = {
             "depth_mm": 1e3 * depths,
             "force_N": estimated,
@@ -126,9 +133,9 @@ def fig5b(notify: Notify, quick: bool = False) -> dict[str, Any]:
     sponge = curves["sponge"]
     own = 1e-3 * np.array(sponge["own_deformation_mm"])
     force = np.array(sponge["force_N"])
-    seen = np.isfinite(own)  # no contact is detected at the lightest loads
-    columns = np.column_stack([own, own**2])[seen]  # undeformed, it pushes nothing
-    stiffness, stiffening = np.linalg.lstsq(columns, force[seen], rcond=None)[0]
+    known = np.isfinite(own)  # no contact is detected at the lightest loads
+    columns = np.column_stack([own, own**2])[known]  # undeformed, it pushes nothing
+    stiffness, stiffening = np.linalg.lstsq(columns, force[known], rcond=None)[0]
     curves["sponge_law"] = {
         "stiffness_N_m": float(stiffness),
         "stiffening_N_m2": float(stiffening),
@@ -155,8 +162,10 @@ def _fits(depth: Array, force: Array) -> dict[str, float]:
 
 
 def fig5c(notify: Notify, quick: bool = False) -> dict[str, Any]:
-    """Force over time while the sensor is driven into both at a steady speed, one image each 1/30
-    s, then held."""
+    """Measure the force over time while the sensor is driven into both objects, then held.
+
+    The speed is constant, with one image each 1/30 s.
+    """
     curves = {}
     for name, indenter in (("solid", CYLINDER), ("sponge", SPONGE)):
         station = TestBench(load_sensor("dense"), indenter, mesh=MESH)
@@ -189,8 +198,10 @@ def fig5c(notify: Notify, quick: bool = False) -> dict[str, Any]:
 
 
 def fig6(notify: Notify, quick: bool = False) -> dict[str, Any]:
-    """15 images of 16 circles in known poses: mean error of the centre, and of the paper's own
-    method on such images."""
+    """Measure the mean error of circle centers in 15 images of 16 circles in known poses.
+
+    The paper's own method is applied to such images for comparison.
+    """
     summary, errors = paper_like(images=3 if quick else 15)
     methods = compare_methods(images=1 if quick else 5)
     notify(f"6: mean error {summary['mean_mm']:.4f} mm (paper {1e3 * PAPER_CIRCLE_ERROR:.2f} mm)")
@@ -210,7 +221,7 @@ OBJECTS = {
 
 
 def fig7(notify: Notify, quick: bool = False) -> dict[str, Any]:
-    """Three objects: the camera's image, the reconstructed membrane, the force on each node."""
+    """Return image, reconstructed membrane and nodal forces for three objects."""
     found = {}
     for name, (indenter, placing) in list(OBJECTS.items())[: 1 if quick else None]:
         station = TestBench(load_sensor("dense"), indenter, **placing)
@@ -240,8 +251,10 @@ def fig7(notify: Notify, quick: bool = False) -> dict[str, Any]:
 
 
 def air(notify: Notify, quick: bool = False) -> dict[str, Any]:
-    """Sensitivity by supply pressure (1 mm press, valve closed) and by the amount of air behind the
-    membrane."""
+    """Measure the sensitivity at several supply pressures and amounts of air.
+
+    The sensor is pressed by 1 mm with the valve closed.
+    """
     base = load_sensor("dense")
     pressures = (500.0, 2000.0) if quick else (250.0, 500.0, 1000.0, 2000.0, 4000.0)
     depths = (5e-3, 20e-3) if quick else (2.5e-3, 5e-3, 10e-3, 20e-3)
@@ -271,13 +284,13 @@ def _sensitivity(design: SensorDesign, *, sealed: bool) -> dict[str, Any]:
     station.zero(sealed=sealed)
     noise = float(np.std([station.touch().force_normal for _ in range(20)], ddof=1))
     station.world.press(1e-3)
-    seen = station.measure(5)
+    measured = station.measure(5)
     return {
         "supply_kPa": 1e-3 * design.chamber.supply_gauge,
         "air_mL": 1e6 * station.world.sensors[0].volume,
         "valve": "closed" if sealed else "open",
         "stiffness_N_mm": station.load_cell(),
-        "estimated_N": seen["force_N"],
+        "estimated_N": measured["force_N"],
         "noise_N": noise,
         "noise_um": 1e3 * noise / station.load_cell(),
     }
@@ -296,7 +309,7 @@ EXPERIMENTS: dict[str, Callable[..., dict[str, Any]]] = {
 def run(
     names: Sequence[str], out: Path | None, *, quick: bool = False, notify: Notify = lambda _: None
 ) -> dict[str, Any]:
-    """Run the experiments by name; their data, and where `out` is given also their figures."""
+    """Run the named experiments and return their data; plot figures if `out` is given."""
     from benchmarks.paper import figures  # lazily: matplotlib is optional
 
     results: dict[str, Any] = {}
@@ -308,7 +321,7 @@ def run(
 
 
 def without_arrays(results: Mapping[str, Any]) -> dict[str, Any]:
-    """The same without images and fields, for JSON."""
+    """Return the results without images and fields, for JSON."""
     plain = {}
     for key, value in results.items():
         if isinstance(value, np.ndarray) and value.ndim > 1:

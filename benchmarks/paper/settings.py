@@ -1,4 +1,4 @@
-"""Numbers of the paper's own methods, which the default chain is compared with."""
+"""Parameters of the paper's own methods, baselines of the default chain."""
 
 from __future__ import annotations
 

@@ -42,8 +42,10 @@ def centre_distance(radius: Array, phi: Array, omega: Array) -> Array:
 
 
 def centre_distance_as_printed(radius: Array, phi: Array, omega: Array) -> Array:
-    """Eq. 9 and 10 literally: cot nu = sin(phi)/(sin(omega) sin(rho)) + cot(rho), rho = pi - phi -
-    omega."""
+    """Compute the distance CD (N,), m, by Eq. 9 and 10 as printed.
+
+    cot nu = sin(phi)/(sin(omega) sin(rho)) + cot(rho), with rho = pi - phi - omega.
+    """
     rho = np.pi - phi - omega
     cot_nu = np.sin(phi) / (np.sin(omega) * np.sin(rho)) + 1 / np.tan(rho)
     return radius * np.sin(np.arctan2(1.0, cot_nu)) / np.sin(omega)
@@ -93,8 +95,10 @@ def centres_by_sine_rule(
 
 
 def _centre_images(Q: Array) -> tuple[Array, Array]:
-    """Eq. 4-5: both images (N, 3) of the centre, in normalised homogeneous coordinates with third
-    entry 1."""
+    """Compute both images (N, 3) of the center by Eq. 4-5.
+
+    Coordinates are normalized and homogeneous, with third entry 1.
+    """
     values, vectors = np.linalg.eigh(Q)
     l3, l2, l1 = values.T
     v3 = vectors[:, :, 0]
@@ -108,6 +112,8 @@ def _centre_images(Q: Array) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Angle (N,) between vectors, by atan2: arccos of a product of unit vectors loses half of the
-    digits."""
+    """Return the angle (N,), rad, between vectors, by atan2.
+
+    The arccos of a product of unit vectors would lose half of the digits.
+    """
     return np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.einsum("ni,ni->n", a, b))

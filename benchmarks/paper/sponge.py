@@ -1,4 +1,4 @@
-"""A sponge on a drive, as the paper presses one."""
+"""Sponge on a linear drive, as in the paper."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from mjtactile.sim.scenes.indentation import Indenter
 
 @dataclass(frozen=True)
 class Pad(Indenter):
-    """A round pad of radius `size` m whose face gives way: F = `stiffness` d + `stiffening` d^2,
-    N/m and N/m^2 (a sponge)."""
+    """A round pad of radius `size` m with a compliant face, such as a sponge.
+
+    The force is F = `stiffness` d + `stiffening` d^2, in N/m and N/m^2.
+    """
 
     stiffness: float = 300.0
     stiffening: float = 0.0
 
     def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody) -> None:
-        """A rod, the geom "indenter", on a spring along the drive's axis."""
+        """Add a rod, the geom "indenter", on a spring along the drive's axis."""
         body.mass = 0.2
         body.inertia = [1e-4] * 3
         body.explicitinertial = True

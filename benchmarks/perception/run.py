@@ -1,5 +1,5 @@
-"""`mjtactile bench perception`: how far from the physical limit markers and surfaces are,
-whether their error bars are right, and how fast it is."""
+"""`mjtactile bench perception`: accuracy of markers and surfaces relative to the physical limit,
+consistency of their error bars, and speed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CHI2 = (0.7, 1.4), (0.9, 1.1)
 def run(
     out: Path, *, quick: bool = False, notify: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
-    """All parts; draws `perception.png` and `perception_methods.png` into `out`."""
+    """Measure all parts, and plot `perception.png` and `perception_methods.png` in `out`."""
     notify = notify or Progress().message
     cv2.setNumThreads(1)
     notify("accuracy of single circles")
@@ -60,7 +60,7 @@ def run(
 
 
 def _measured(result: Mapping[str, Any]) -> dict[str, float]:
-    """The numbers that have a target."""
+    """Return the measured values that have a target."""
     eighty = next(row for row in result["speed"] if row["markers"] == 80)
     pipeline_ms = np.array(result["surface"]["pipeline_ms"])
     return {key: abs(result["accuracy"][key]) for key in tuple(TARGETS)[:6]} | {
@@ -73,7 +73,7 @@ def _measured(result: Mapping[str, Any]) -> dict[str, float]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The results as Markdown."""
+    """Format the results in Markdown."""
     return (
         "\n\n".join(
             [

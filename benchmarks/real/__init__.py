@@ -1,2 +1,4 @@
-"""Recordings that others made of real sensors, which are not in the repository: each benchmark is
-given their folder (`--data`)."""
+"""Benchmarks on published recordings of real sensors.
+
+The recordings are not in the repository; `--data` names their folder.
+"""

@@ -43,7 +43,7 @@ def run(
     data: Path | None = None,
     notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Estimate the force of each depth image, next to the wrist sensor's; plot into `out`."""
+    """Estimate the force of each depth image, and plot it next to the wrist sensor's in `out`."""
     if data is None:
         raise InputError("wants the recording's folder", field="--data")
     rows, clouds = _read(Path(data))
@@ -85,7 +85,10 @@ def run(
 
 
 def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
-    """Errors against the wrist, N: as it is, and with one factor fitted while the press grew."""
+    """Return the force errors relative to the wrist sensor, N.
+
+    They are given without a correction, and with one factor fitted to the loading phase.
+    """
     row, estimated, wrist = (
         np.array([one[key] for one in found]) for key in ("row", "estimated_N", "wrist_N")
     )
@@ -124,7 +127,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _read(folder: Path) -> tuple[Array, dict[int, Array]]:
-    """Rows (n, 14), and the points (m, 3) m of those that have any."""
+    """Read the rows (n, 14), and the points (m, 3), m, of those that have any."""
     try:
         given = json.loads((folder / "data.json").read_text(encoding="utf-8"))
         with np.load(folder / "points.npz") as stored:

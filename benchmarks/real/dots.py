@@ -31,8 +31,8 @@ EVERY = 8  # one frame of this many is evaluated
 NEAR = 0.3  # of the dots' distance, from where the lattice has one
 RIM = 1.5  # minimum distance of a whole dot from the image border, px
 SIGNS = ("relaxes", "wanders")
-"""Fraction of its peak by which the common motion of all dots has gone back at the end, and the sd,
-px, of that motion over the last two thirds."""
+"""Slip indicators of the common motion of all dots: the fraction of the peak by which it has
+decreased at the end, and its standard deviation, px, over the last two thirds."""
 
 
 def run(
@@ -42,9 +42,9 @@ def run(
     data: Path | None = None,
     notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Dots of some frames of each video, and the signs of each grip."""
+    """Count the dots in some frames of each video, and compute the indicators of each grip."""
     if data is None:
-        raise InputError("wants the recordings' folder", field="--data")
+        raise InputError("needs the recordings' folder", field="--data")
     grips = _labels(Path(data) / "labels.csv")
     rows = []
     for name, slips in list(grips.items())[: 2 if quick else None]:
@@ -55,17 +55,23 @@ def run(
             for tracked in (found[0], found[len(found) // 2], found[-1]):
                 counts += dots_of(tracked)
             signs.append(_signs(found))
-        complete, seen, trusted, false = counts.tolist()
-        row = {"grip": name, "slips": slips, "complete": complete, "seen": seen, "trusted": trusted}
+        complete, detected, trusted, false = counts.tolist()
+        row = {
+            "grip": name,
+            "slips": slips,
+            "complete": complete,
+            "seen": detected,
+            "trusted": trusted,
+        }
         row |= {"false": false} | dict(zip(SIGNS, np.max(signs, axis=0).tolist(), strict=True))
         rows.append(row)
-        notify(f"{name}: {seen} of {complete} dots, {trusted} trusted, {false} false")
+        notify(f"{name}: {detected} of {complete} dots, {trusted} trusted, {false} false")
         write_json(Path(out) / "dots.json", {"rows": rows})
     return {"rows": rows, **summary(rows)}
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Sums of the dots, and how well each sign parts slips from holds."""
+    """Sum the dot counts, and compute how well each indicator separates slips from holds."""
     total = {key: sum(row[key] for row in rows) for key in ("complete", "seen", "trusted", "false")}
     slips = np.array([row["slips"] for row in rows], bool)
     signs = {}
@@ -107,16 +113,18 @@ def dots_of(tracked: TrackedCircles) -> NDArray[np.int64]:
     places = ellipses.center_px[good]
     sites, pitch = lattice(places)
     distance = np.linalg.norm(sites[:, None] - ellipses.center_px[None], axis=2)
-    inside = ((sites > size + RIM) & (sites < np.array(PICTURE) - 1 - size - RIM)).all(axis=1)
+    inside = ((sites > size + RIM) & (sites < np.array(IMAGE_SIZE) - 1 - size - RIM)).all(axis=1)
     near = distance < NEAR * pitch
     ok = ellipses.status == "ok"
-    seen = near.any(axis=1)
+    detected = near.any(axis=1)
     trusted = (near & ok).any(axis=1)
     false = ok & ~near.any(axis=0)
-    return np.array([inside.sum(), (inside & seen).sum(), (inside & trusted).sum(), false.sum()])
+    return np.array(
+        [inside.sum(), (inside & detected).sum(), (inside & trusted).sum(), false.sum()]
+    )
 
 
-PICTURE = (320, 240)  # px, of these recordings
+IMAGE_SIZE = (320, 240)  # px, of these recordings
 
 
 def lattice(places: Array) -> tuple[Array, float]:
@@ -153,7 +161,8 @@ def _quadratic(at: Array) -> Array:
 
 
 def _signs(found: list[TrackedCircles]) -> tuple[float, float]:
-    """The signs of one video, by the middle motion of all dots since its first frame."""
+    """Compute the indicators of one video from the median motion of all dots since its first
+    frame."""
     first = found[0]
     start = dict(zip(first.ids.tolist(), first.ellipses.center_px, strict=True))
     moved = []

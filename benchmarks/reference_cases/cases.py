@@ -2,7 +2,7 @@
 
 Each is a TOML file with a sensor, one motion, and a reference with its source.
 
-    about = "a ball on the middle"          one-line description
+    about = "a ball at the center"          one-line description
     sensor = "dense"                        a shipped name, or FILE.toml next to the case
     friction = 0.9                          of the membrane, unless that of the sensor file
     law = "neo-Hookean"                     of the reference's rubber; the default, or
@@ -162,8 +162,11 @@ def load_case(path: Path) -> Case:
 
 
 def load_cases(folder: Path | None = None) -> list[Case]:
-    """All cases of a folder, by default those that come along. Raises InputError where there is
-    none."""
+    """Load all cases of a folder, by default the shipped ones.
+
+    Raises:
+        InputError: The folder has no case.
+    """
     folder = resources.folder(FOLDER) if folder is None else folder
     paths = sorted(folder.glob("*.toml"))
     # the others are sensors

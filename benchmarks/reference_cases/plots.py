@@ -1,4 +1,4 @@
-"""The picture of `mjtactile bench references`: every case in a box of its own."""
+"""Figure of `mjtactile bench references`, with one panel per case."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def run(
 ) -> dict[str, Any]:
     """Measure every case of the folder `cases` (default: the shipped ones).
 
-    Plots into `out`/references.png and returns the JSON object.
+    It plots `out`/references.png and returns the JSON object.
     """
     notify = Progress().message if notify is None else notify
     known = load_cases(cases)

@@ -63,7 +63,7 @@ def run(
 
 
 class _Watch:
-    """Ground truth of each cycle."""
+    """Observer that stores the ground truth of each cycle."""
 
     def __init__(self, bench: Bench):
         self._process = bench.process
@@ -132,11 +132,11 @@ def table(result: Mapping[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _row(name: str, rows: Sequence[Mapping[str, Any]], asked: str) -> str:
+def _row(name: str, rows: Sequence[Mapping[str, Any]], required: str) -> str:
     held = sum(row["outcome"] == "held" for row in rows)
     faults = sum(row["outcome"] == "fault" for row in rows)
     low, high = wilson(held, len(rows))
     grips = [row["hold_N"] for row in rows if row["hold_N"] is not None]
     grip = f"{statistics.median(grips):.2f}" if grips else ""
     fraction = f"{held} of {len(rows)} ({100 * low:.0f}-{100 * high:.0f} %)"
-    return f"| {name} | {asked} | {fraction} | {faults} | {grip} |"
+    return f"| {name} | {required} | {fraction} | {faults} | {grip} |"

@@ -1,5 +1,5 @@
-"""Every fault of docs/how-to/hardware.md, injected into a running loop; a host that is killed; sim
-against emulated."""
+"""Faults of docs/how-to/hardware.md in a running loop, a killed host, and simulation against
+emulation."""
 
 from __future__ import annotations
 
@@ -49,8 +49,10 @@ _WATCH = 3.0
 
 
 class Stopwatch(Supervisor):
-    """Notes when it really changed its state: a transition bears the time at which its cycle
-    began."""
+    """Supervisor that records the actual times of its transitions.
+
+    A transition itself has the start time of its cycle.
+    """
 
     def __init__(self, period: float):
         super().__init__(period)
@@ -74,7 +76,7 @@ class Stopwatch(Supervisor):
 
 
 class KeptBench:
-    """An emulator that is kept from one fault to the next, as long as it lasts."""
+    """An emulator that is reused from one fault to the next, until a fault ends it."""
 
     def __init__(self, name: str, rate: float) -> None:
         self._name = name
@@ -109,7 +111,7 @@ class KeptBench:
 
 
 class FaultBench(KeptBench):
-    """Injects faults one after the other."""
+    """An emulator into which faults are injected in turn."""
 
     def __init__(self) -> None:
         super().__init__("emulated", 30.0)
@@ -141,7 +143,7 @@ class FaultBench(KeptBench):
 
 
 def stuck() -> dict[str, Any]:
-    """A valve that does not move must be refused by the references or by the valve's own sensor."""
+    """Check that the references or the valve's own sensor refuse a stuck valve."""
     bench = Bench("emulated", design_at(30.0))
     rig = bench.connect()
     try:

@@ -30,8 +30,10 @@ _PATIENCE = 0.004  # timeout of an answer, s: most of them are none
 
 
 class Adversary:
-    """Answers on a pty; `fed` counts the bad bytes. `answer(rng, data)` gives the bytes and whether
-    they are bad."""
+    """Peer on a pty that sends answers; `fed` counts the bad bytes.
+
+    `answer(rng, data)` returns the bytes, and True if they are bad.
+    """
 
     def __init__(self, answer: Callable[[random.Random, bytes], tuple[bytes, bool]], seed: int):
         self._rng = random.Random(seed)
@@ -46,8 +48,10 @@ class Adversary:
 
 
 def damage(rng: random.Random, data: bytes) -> bytes:
-    """Flip bits, lose, repeat, insert or cut bytes: one to three of these. Never returns `data`
-    itself."""
+    """Flip bits, lose, repeat, insert or cut bytes: one to three of these.
+
+    The result always differs from `data`.
+    """
     result = bytearray(data)
     for _ in range(rng.randrange(1, 4)):
         place = rng.randrange(len(result))
@@ -71,7 +75,7 @@ def payload(servo: int) -> bytes:
 
 
 def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
-    """An answer of two servos to a sync read: true, or bad in one of the ways a bus goes bad."""
+    """Return an answer of two servos to a sync read: true, or with one kind of bus error."""
     packets = [p2.status(servo, 0, payload(servo)) for servo in SERVOS]
     if rng.random() < _TRUE_FRACTION:
         return b"".join(packets), False
@@ -96,8 +100,11 @@ def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
 
 
 def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
-    """`count` bad bytes to the servo bus; how many replies were accepted, how many of them wrong,
-    the longest call in s."""
+    """Send `count` bad bytes to the servo bus driver.
+
+    Returns:
+        Counts of accepted, wrong and refused replies, and the longest call, s.
+    """
     adversary = Adversary(servo_answer, seed)
     bus = DynamixelBus(adversary.port.path, reply_timeout=0.002)
     # bad bytes are to be refused, not a computer that is busy for 0.1 s
@@ -132,7 +139,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
 
 
 class ValveAdversary:
-    """A valve board that answers truly until `bad` is set."""
+    """A valve board that answers correctly until `bad` is set."""
 
     def __init__(self) -> None:
         self.bad = False
@@ -163,7 +170,7 @@ class ValveAdversary:
 
 
 def fuzz_valve(count: int, seed: int = 0) -> dict[str, Any]:
-    """The same to a valve board's driver."""
+    """Send `count` bad bytes to the driver of a valve board; see `fuzz_servos`."""
     answers = ValveAdversary()
     adversary = Adversary(answers, seed)
     board = ValveBoard(

@@ -36,7 +36,7 @@ _QUICK = {"CLOSING_SPEED": 0.045, "SETTLE_TIME": 0.1, "HOLD_TIME": 60.0}
 def stopped(number: int, loss: str) -> dict[str, Any]:
     """Run once.
 
-    Return the pause, s, the outcome of the egg, its maximum drop below its place in the gripper,
+    Return the pause, s, the outcome of the egg, its maximum drop below its position in the gripper,
     mm, and the reason why the host ended.
     """
     seconds = SECONDS[number % len(SECONDS)]
@@ -96,7 +96,7 @@ def _run(host: subprocess.Popen[str], emulator: EmulatorProcess, seconds: float)
 def _watch(
     host: subprocess.Popen[str], emulator: EmulatorProcess, start: float, until: float
 ) -> float:
-    """Return the maximum drop of the object below its place in the gripper, m.
+    """Return the maximum drop of the object below its position in the gripper, m.
 
     The observation lasts until the given time or the host's end.
     """
@@ -110,7 +110,7 @@ def _watch(
 
 
 def stopped_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    """A row for each answer to a lost host."""
+    """Return one table row for each reaction to a lost host."""
     rows = []
     for loss in dict.fromkeys(run["loss"] for run in runs):
         own = [run for run in runs if run["loss"] == loss]

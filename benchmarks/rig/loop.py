@@ -1,4 +1,4 @@
-"""Loop rate, jitter, and the time from a picture's capture to the command on the wire."""
+"""Loop rate, jitter, and the time from an image's capture to the command on the wire."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RATE = 60.0
 
 
 def measure_loop(seconds: float) -> dict[str, Any]:
-    """The loop of one 60 Hz camera, two servos and a valve, holding still."""
+    """Measure the loop of one 60 Hz camera, two servos and a valve, at rest."""
     bench = Bench(RIG, design_at(RATE))
     # allocated in advance: later growth is due to the loop
     rows = np.full((int(1.1 * RATE * seconds) + 100, 7), np.nan)
@@ -94,8 +94,8 @@ def _loop_result(rows: np.ndarray, outcome: str) -> dict[str, Any]:
 
 
 class _Usage:
-    """Processor time of this process and of the emulator's two, as shares of one processor; of the
-    computer's load."""
+    """Processor time of this process and of the emulator's two, as fractions of one processor; and
+    the computer's load."""
 
     def __init__(self, emulator: int):
         children = Path(f"/proc/{emulator}/task/{emulator}/children").read_text().split()
@@ -123,7 +123,7 @@ class _Usage:
 
 
 def measure_bus() -> dict[str, float]:
-    """Round trip of one sync read of two servos."""
+    """Measure the round trip time of one sync read of two servos."""
     bench = Bench(RIG, design_at(RATE))
     try:
         bus = DynamixelBus(bench.process.endpoints["servo"], reply_timeout=0.1)

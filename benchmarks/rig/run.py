@@ -23,7 +23,7 @@ from mjtactile.recording.files import to_json, write_json
 from mjtactile.runtime.progress import Progress
 
 PARTS = ("loop", "bus", "fuzz", "killed", "stopped", "stuck", "outcomes", "faults")
-# only where it is asked for
+# only on request
 SOAK = "soak"
 HOURS = 2.0
 
@@ -36,8 +36,11 @@ def run(
     parts: tuple[str, ...] = PARTS,
     soak: float | None = None,
 ) -> dict[str, Any]:
-    """All `parts`; `quick` injects each fault twice instead of 20 times and so on. `soak`: hours of
-    the long run, too."""
+    """Run all `parts`.
+
+    With `quick` each fault is injected twice instead of 20 times, and the other parts are shortened
+    likewise. `soak`: duration of the additional long run, h.
+    """
     unknown = [part for part in parts if part not in (*PARTS, SOAK)]
     if unknown:
         raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=(*PARTS, SOAK))
@@ -71,7 +74,7 @@ def run(
 
 
 class _Store:
-    """The result so far, on disk after each step."""
+    """The results so far, on disk after each step."""
 
     def __init__(self, path: Path, resume: bool):
         self._path = path
@@ -111,8 +114,10 @@ def _stopped(store: _Store, times: int) -> None:
 
 
 def _faults(store: _Store, times: int) -> None:
-    """Each kind in turn, again and again, so that an interrupted run has all kinds about as
-    often."""
+    """Inject each kind of fault in turn, repeatedly.
+
+    An interrupted run thus has similar counts of all kinds.
+    """
     bench = faults.FaultBench()
     try:
         for count in range(1, times + 1):
@@ -245,7 +250,7 @@ _REACTIONS = {"goes on": "none (continue)", "limp": "torque off"}
 
 
 def _killed_rows(runs: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    """A row for each kind of servo, the worst of its runs."""
+    """Return a row for each kind of servo, with the worst of its runs."""
 
     def worst(kind: str, key: str) -> float | None:
         values = [run[key] for run in runs if run["kind"] == kind]

@@ -30,14 +30,14 @@ OBJECT = "egg"
 
 
 def design_at(rate: float) -> SensorDesign:
-    """The benchmark's sensor with a camera of `rate` Hz."""
+    """Return the benchmark's sensor with a camera of `rate` Hz."""
     design = load_sensor(SENSOR)
     return replace(design, camera=replace(design.camera, rate=rate))
 
 
 @dataclass
 class Closing:
-    """A controller that closes by `speed` m a cycle, and never ends by itself."""
+    """A controller that closes by `speed` m per cycle, without end."""
 
     speed: float = 5e-5
     path: Path = Path("bench")
@@ -49,12 +49,12 @@ class Closing:
 
 
 class EndOfRun(BaseException):
-    """Ends a run from within `on_cycle`, at once: any Exception would make the hand retreat
-    first."""
+    """Signal from `on_cycle` that ends a run at once; with an Exception the jaws would first
+    retreat."""
 
 
 class Bench:
-    """An emulator that outlives rigs connected to it: to start one takes longer than most
+    """An emulator that outlives the rigs connected to it, since its start takes longer than most
     faults."""
 
     def __init__(
@@ -86,7 +86,10 @@ class Bench:
         )
 
     def session(self, rig: Rig) -> Session:
-        """A session with references; those of the first rig are used again, as a calibration is."""
+        """Return a session with references.
+
+        Later sessions use the references of the first rig, like a calibration.
+        """
         if not self._states:
             session = Session(rig)
             session.take_references()

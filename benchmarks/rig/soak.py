@@ -1,7 +1,7 @@
 """Hours of the 60 Hz loop with repeated grips of an egg, and a fault every five minutes.
 
 The whole run is recorded. A leg lies between two faults: a connection, its grips, a fault at a
-random moment, the safe state. An interrupted run continues with its next leg.
+random time, the safe state. An interrupted run continues with its next leg.
 """
 
 from __future__ import annotations
@@ -66,15 +66,17 @@ class Gripping:
 
 
 def sampled(number: int, leg: float, grip: float) -> tuple[str, float]:
-    """The fault of a leg, every kind once before any comes again, and when within the last `grip` s
-    of its `leg` it happens."""
+    """Sample the fault of leg `number` and its time after the start, s.
+
+    Every kind occurs once before any repeats. The time lies within the last `grip` s of the `leg`.
+    """
     around, place = divmod(number, len(FAULTS))
     kind = list(FAULTS)[np.random.default_rng(around).permutation(len(FAULTS))[place]]
     return kind, leg - grip * np.random.default_rng(number).random()
 
 
 class SoakBench(KeptBench):
-    """Legs one after the other; recordings of those that went wrong stay in `out`."""
+    """Legs in turn; recordings of failed legs stay in `out`."""
 
     def __init__(self, out: Path, *, leg: float = LEG, grip: float = GRIP) -> None:
         super().__init__(RIG, RATE)
@@ -83,7 +85,7 @@ class SoakBench(KeptBench):
         self._grip = grip
 
     def run(self, number: int) -> dict[str, Any]:
-        """Leg `number`, whose fault and its moment are drawn from that."""
+        """Run leg `number`, which determines its fault and the time of it."""
         kind, at = sampled(number, self.leg, self._grip)
         bench = self.bench()
         folder = self._out / f"leg-{number:03d}"
@@ -186,7 +188,7 @@ def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, 
     cycles = sum(leg["cycles"] for leg in legs)
     missed = sum(leg["missed"] for leg in legs)
     times = [leg["reaction_s"] for leg in legs if leg["reaction_s"] is not None]
-    unasked = [leg for leg in legs if not leg["injected"]]
+    spontaneous = [leg for leg in legs if not leg["injected"]]
     unread = sum(bool(leg["recording"]) for leg in legs)
     return [
         (
@@ -198,15 +200,15 @@ def soak_rows(legs: list[dict[str, Any]], late: float = 0.2) -> list[tuple[str, 
         (
             "long run: safe state after a fault at a random time",
             "always, within 200 ms",
-            f"{sum(leg['safe'] for leg in legs)} of {len(legs) - len(unasked)}, "
+            f"{sum(leg['safe'] for leg in legs)} of {len(legs) - len(spontaneous)}, "
             f"{sum(t > late for t in times)} later than "
             f"{1e3 * late:.0f} ms, worst {1e3 * max(times, default=math.nan):.0f} ms",
         ),
         (
             "long run: stops without a fault",
             "none",
-            f"{len(unasked)} of {len(legs)} legs"
-            + "".join(f"; {leg['outcome'][:80]}" for leg in unasked[:1]),
+            f"{len(spontaneous)} of {len(legs)} legs"
+            + "".join(f"; {leg['outcome'][:80]}" for leg in spontaneous[:1]),
         ),
         ("long run: memory", "constant", growth(legs)),
         ("long run: unreadable recordings", "none", f"{unread} of {len(legs)}"),
@@ -229,7 +231,7 @@ def growth(legs: list[dict[str, Any]]) -> str:
 
 
 def memory_MB() -> float:
-    """MB that this process holds."""
+    """Return the memory of this process, MB."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 

@@ -1,1 +1,1 @@
-"""Worlds that only benchmarks and tests of physics need."""
+"""Worlds for benchmarks and tests of physics."""

@@ -1,5 +1,7 @@
-"""The same grasp with rigid pads in place of membranes, with and without MuJoCo's `touch_grid`: the
-price of softness."""
+"""The same grasp with rigid pads in place of membranes, with and without MuJoCo's `touch_grid`.
+
+It gives the cost of soft membranes.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,7 @@ def scene(
 def hold(
     design: SensorDesign, grasped: str, timestep: float, force: float, *, touch_grid: bool = False
 ) -> World:
-    """The object between rigid pads that press with `force` N, lifted by 10 mm."""
+    """Simulate the object between rigid pads that press with `force` N, lifted by 10 mm."""
     world = World(scene(design, grasped, timestep, touch_grid=touch_grid), [])
     jaw, lift = (world.model.actuator(name).id for name in ("jaw", "lift"))
     for joint in ("left_jaw", "right_jaw"):
@@ -78,14 +80,16 @@ def _add_pad(spec: mujoco.MjSpec, site_name: str, design: SensorDesign) -> None:
         contype=0,
         conaffinity=1,
     )
-    # touch_grid looks along -z of its site
+    # touch_grid faces -z of its site
     pad.add_site(name="viewpoint", pos=[0, 0, -0.02], quat=[0, 1, 0, 0])
     spec.attach(child, site=site_name, prefix=f"{site_name}/")
 
 
 def _with_touch_grids(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """The scene with a `touch_grid` sensor at each fingertip. By way of XML: set on a spec, the
-    plugin crashes MuJoCo 4.0."""
+    """Return the scene with a `touch_grid` sensor at each fingertip.
+
+    The sensors are added as XML: added to a spec, the plugin crashes MuJoCo 4.0.
+    """
     sensors = "".join(
         f'''<plugin name="{name}_touch" plugin="{TOUCH_GRID}"
                 objtype="site" objname="{name}/viewpoint">
@@ -101,5 +105,5 @@ def _with_touch_grids(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def bare_step(world: World) -> None:
-    """A step by MuJoCo alone: no sensor is updated and nothing is checked."""
+    """Step MuJoCo alone, without sensor updates and checks."""
     mujoco.mj_step(world.model, world.data)

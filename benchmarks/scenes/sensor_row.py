@@ -1,4 +1,4 @@
-"""Many sensors in one scene, in a row, with a ball resting on each or with nothing on any."""
+"""Many sensors in one scene, in a row, with a ball resting on each or without load."""
 
 from __future__ import annotations
 
@@ -22,8 +22,11 @@ def row_of(
     timestep: float,
     settle: float,
 ) -> World:
-    """So many sensors that look up, inflated to `gauge` Pa and sealed; on each a `ball` (radius m,
-    mass kg), or nothing. `settle` is the time before the valves close, and after, s."""
+    """Build `count` upward sensors, inflated to `gauge` Pa and sealed.
+
+    On each rests a `ball` (radius m, mass kg), if given. `settle` is the time before the valves
+    close, and the time after, s.
+    """
     spec = mujoco.MjSpec()
     configure_options(spec, timestep)
     attachments = []

@@ -13,7 +13,7 @@ _SHEAR_MAX = 1.0  # maximum shear of the membrane, N: a larger one wrinkles it
 
 
 @dataclass(frozen=True)
-class Way:
+class LoadProfile:
     """Type of load on a held object.
 
     `load` names the quantity that grows: a "pull", a "torque", a "shake" of the hand, a "drag" past
@@ -31,26 +31,26 @@ class Way:
 
 
 SLIPS = {
-    "pull": Way("pull", (1.3, 2.0), (0.4, 1.8), stays=False),
-    "too heavy": Way("pull", (1.05, 1.4), (0.2, 1.0)),
-    "sudden": Way("pull", (1.2, 2.0), (0.02, 0.06)),
-    "grip opened": Way("grip", (0.4, 0.8), (0.5, 3.0)),
-    "drag": Way("drag", (3.0, 6.0), (1.0, 10.0)),
-    "shaken loose": Way("shake", (1.2, 2.0), (0.2, 0.5)),
-    "torsion": Way("torque", (1.2, 2.0), (0.3, 1.5), stays=False),
-    "one of two": Way("one", (2.5, 4.0), (1.0, 10.0)),
+    "pull": LoadProfile("pull", (1.3, 2.0), (0.4, 1.8), stays=False),
+    "too heavy": LoadProfile("pull", (1.05, 1.4), (0.2, 1.0)),
+    "sudden": LoadProfile("pull", (1.2, 2.0), (0.02, 0.06)),
+    "grip opened": LoadProfile("grip", (0.4, 0.8), (0.5, 3.0)),
+    "drag": LoadProfile("drag", (3.0, 6.0), (1.0, 10.0)),
+    "shaken loose": LoadProfile("shake", (1.2, 2.0), (0.2, 0.5)),
+    "torsion": LoadProfile("torque", (1.2, 2.0), (0.3, 1.5), stays=False),
+    "one of two": LoadProfile("one", (2.5, 4.0), (1.0, 10.0)),
 }
 HOLDS = {
-    "pulled": Way("pull", (0.2, 0.8), (0.2, 1.5)),
-    "lifted": Way("pull", (0.3, 0.8), (0.1, 0.5)),
-    "jerked": Way("pull", (0.2, 0.6), (0.02, 0.06)),
-    "grip eased": Way("grip", (0.2, 0.4), (0.5, 2.0)),
-    "shaken": Way("shake", (0.2, 0.7), (0.2, 0.5)),
-    "twisted": Way("torque", (0.2, 0.5), (0.3, 1.5)),
-    "sheared": Way("one", (0.1, 0.4), (1.0, 5.0)),
-    "rolled": Way("roll", (0.5, 1.5), (1.0, 5.0)),
-    "squeezed": Way("squeeze", (0.1, 0.6), (0.1, 0.5)),
-    "tapped": Way("tap", (0.3, 2.0), (0.05, 0.2)),
+    "pulled": LoadProfile("pull", (0.2, 0.8), (0.2, 1.5)),
+    "lifted": LoadProfile("pull", (0.3, 0.8), (0.1, 0.5)),
+    "jerked": LoadProfile("pull", (0.2, 0.6), (0.02, 0.06)),
+    "grip eased": LoadProfile("grip", (0.2, 0.4), (0.5, 2.0)),
+    "shaken": LoadProfile("shake", (0.2, 0.7), (0.2, 0.5)),
+    "twisted": LoadProfile("torque", (0.2, 0.5), (0.3, 1.5)),
+    "sheared": LoadProfile("one", (0.1, 0.4), (1.0, 5.0)),
+    "rolled": LoadProfile("roll", (0.5, 1.5), (1.0, 5.0)),
+    "squeezed": LoadProfile("squeeze", (0.1, 0.6), (0.1, 0.5)),
+    "tapped": LoadProfile("tap", (0.3, 2.0), (0.05, 0.2)),
 }
 
 
@@ -67,7 +67,7 @@ class SlipCase:
     seed: int
     name: str
     slips: bool
-    way: Way
+    profile: LoadProfile
     body: str
     size: float
     mass: float
@@ -81,8 +81,11 @@ class SlipCase:
     frequency: float
 
 
-def plot_case(seed: int) -> SlipCase:
-    """Slips and holds alternate, and so do the ways to load; all else is drawn from the seed."""
+def sample_slip_case(seed: int) -> SlipCase:
+    """Sample the case of a seed.
+
+    Slips and holds alternate, and the kinds of load take turns. All else is random.
+    """
     rng = np.random.default_rng([seed, 12])
     motions = SLIPS if seed % 2 == 0 else HOLDS
     name = list(motions)[seed // 2 % len(motions)]

@@ -1,4 +1,4 @@
-"""Two sensors that hold a body between them while it is pulled, turned, shaken or dragged."""
+"""Two sensors that hold an object between them while it is pulled, turned, shaken or dragged."""
 
 from __future__ import annotations
 
@@ -42,8 +42,10 @@ _STIFF_GRIP = 520.0
 
 
 class SlipWorld(World):
-    """Simulates a case: `run` yields once a step. Jaws close along x; the pull is in the plane y,
-    z."""
+    """Simulation of a case; `run` yields once per step.
+
+    The jaws close along x; the pull lies in the y-z plane.
+    """
 
     def __init__(
         self,
@@ -111,7 +113,7 @@ class SlipWorld(World):
     # -- motion ------------------------------------------------------------------------------------
 
     def inflate(self, gauge_pressure: float) -> None:
-        """Fill both chambers, with the body out of the way; seals them."""
+        """Fill and seal both chambers, with the object out of the way."""
         self._hold_body(away=True)
         for sensor in self.sensors:
             sensor.open_valve(gauge_pressure)
@@ -121,7 +123,7 @@ class SlipWorld(World):
                 sensor.close_valve()
 
     def grip(self) -> Iterator[None]:
-        """Close on the body, which is held until both fingers press."""
+        """Close on the object, which is fixed until both fingers press."""
         top = max(sensor.height_at(0.0, 0.0) for sensor in self.sensors)
         goal = (
             _JAW_DISTANCE
@@ -144,7 +146,7 @@ class SlipWorld(World):
     def load(self, seconds: float) -> Iterator[None]:
         """Apply the load of the case for `seconds`."""
         case = self.case
-        motion = self.case.way
+        motion = self.case.profile
         normal = np.array([self.press(k) for k in range(2)])
         limit = float(np.dot(case.friction, normal))
         drag = (
@@ -167,7 +169,7 @@ class SlipWorld(World):
 
     def _apply(self, t: float, limit: float, seconds: float) -> None:
         case = self.case
-        motion = self.case.way
+        motion = self.case.profile
         part = t / case.rise
         grown = case.fraction * (part if not motion.stays else min(part, 1.0))
         if motion.load == "pull":
@@ -232,7 +234,7 @@ class SlipWorld(World):
 
 
 def _add_body(body: mujoco.MjsBody, case: SlipCase) -> float:
-    """Add the body's geoms; returns its half width along x, m."""
+    """Add the object's geoms; return its half width along x, m."""
     kinds = mujoco.mjtGeom
     size = case.size
     rotation = [np.sqrt(0.5), np.sqrt(0.5), 0, 0]
@@ -249,7 +251,7 @@ def _add_body(body: mujoco.MjsBody, case: SlipCase) -> float:
 
 
 def _add_soft(body: mujoco.MjsBody, case: SlipCase) -> float:
-    """Two faces on springs along x, flat or round."""
+    """Add two faces on springs along x, flat or round; return the half width along x, m."""
     size = case.size
     stiffness = float(np.random.default_rng([case.seed, 13]).uniform(*_SOFT))
     body.mass = 0.8 * case.mass

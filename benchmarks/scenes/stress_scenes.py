@@ -31,7 +31,7 @@ class Body:
     mass: float
 
     def add_to(self, body: mujoco.MjsBody) -> float:
-        """Add the geom; return the height of its middle over its lowest point, m."""
+        """Add the geom; return the height of its center over its lowest point, m."""
         half = self.size / 2
         kinds = mujoco.mjtGeom
         kind, size = {
@@ -66,7 +66,7 @@ class DropWorld(World):
         mesh: tuple[int, int] = DEFAULT_MESH,
         guided: bool = False,
     ):
-        """A `guided` body moves up and down only: a weight on a rail; else it is free."""
+        """Build the scene; a `guided` object moves vertically only, otherwise it is free."""
         spec = mujoco.MjSpec()
         configure_options(spec, timestep)
         spec.worldbody.add_site(name="base")
@@ -125,7 +125,7 @@ class FloatWorld(World):
         self.sensors[0].close_valve()
 
     def turn(self, velocity: Sequence[float]) -> None:
-        """Let it turn at `velocity` (3,) rad/s."""
+        """Set the angular velocity to `velocity` (3,) rad/s."""
         self.data.qvel[3:6] = velocity
 
     @property
@@ -260,8 +260,10 @@ class FaceWorld(World):
         mujoco.mj_forward(self.model, self.data)
 
     def forces(self, settling: float, duration: float) -> np.ndarray:
-        """Normal forces (n,) N of the contact in each step, after `settling` s at rest and as long
-        at the speed."""
+        """Return the normal contact forces (n,), N, of each step.
+
+        `settling` s at rest, and as long at the speed, come first.
+        """
         self.step(round(settling / self.timestep))
         self.data.ctrl[0] = self._speed
         self.step(round(settling / self.timestep))

@@ -17,7 +17,7 @@ from mjtactile.quasistatic import MembraneSolution, Obstacle, obstacle
 from mjtactile.quasistatic.interpolation import interpolation_matrix
 
 FIRST_SEED = 6000  # not used for tuning
-OBJECTS, OBJECTS_QUICK = 5, 1  # of each family
+OBJECTS, OBJECTS_QUICK = 5, 1  # of each kind
 _GRID = (61, 46)
 _NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one image of `dense`, m
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
@@ -41,14 +41,14 @@ class Foreign:
 
 
 def rows(count: int = OBJECTS) -> list[dict[str, Any]]:
-    """Press `count` objects of each family.
+    """Press `count` objects of each kind.
 
     Returns:
         One row per image from 0.1 N on.
     """
     bench = _Bench()
     found = []
-    for name, sample in FAMILIES.items():
+    for name, sample in KINDS.items():
         for number in range(count):
             rng = np.random.default_rng([FIRST_SEED + number, len(name)])
             found += [{"family": name, **row} for row in bench.press(sample(rng), rng)]
@@ -134,7 +134,7 @@ def _seen(places: Array) -> Markers:
 
 
 def table(listed: list[dict[str, Any]]) -> list[str]:
-    """Return the lines of a Markdown table, one row per family.
+    """Return the lines of a Markdown table, one row per kind.
 
     Args:
         listed: Rows of `rows`.
@@ -144,7 +144,7 @@ def table(listed: list[dict[str, Any]]) -> list[str]:
         "(lateral: of the lowest point) | area error, median |",
         "|---|---|---|---|---|",
     ]
-    for name in [*FAMILIES, ""]:
+    for name in [*KINDS, ""]:
         own = [row for row in listed if name in ("", row["family"])]
         known = [row for row in own if row["kind"] != "unknown"]
         errors = [abs(row["area_mm2"] / row["area_true_mm2"] - 1) for row in known]
@@ -169,7 +169,7 @@ def _within(listed: list[dict[str, Any]], key: str) -> str:
     return f"{_COMPARED[key]} {100 * fraction:.0f} % ({len(values)})"
 
 
-# -- families
+# -- kinds of objects
 
 
 def _turn(axis: int, angle: float) -> Array:
@@ -296,7 +296,7 @@ def _coin(rng: np.random.Generator) -> Foreign:
     )
 
 
-FAMILIES: dict[str, Callable[[np.random.Generator], Foreign]] = {
+KINDS: dict[str, Callable[[np.random.Generator], Foreign]] = {
     "ellipsoid 7 x 12 x 19": _ellipsoid,
     "corner": _corner,
     "tilted disc": _tilted_disc,

@@ -64,7 +64,7 @@ def rows() -> list[dict[str, Any]]:
 
 
 def _at_rest(quasistatic: QuasistaticMembrane) -> Array:
-    """Places (81, 3) m of the markers on the film at rest."""
+    """Return the positions (81, 3), m, of the markers on the membrane at rest."""
     from scipy.interpolate import RectBivariateSpline
 
     fields = (

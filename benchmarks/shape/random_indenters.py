@@ -36,7 +36,7 @@ class Case:
     extra: dict[str, float] = field(default_factory=dict)
 
     def write(self, folder: Path) -> Path:
-        """Its file in `folder`."""
+        """Write the MJCF file to `folder`, and return its path."""
         path = folder / "body.xml"
         path.write_text(
             f"<mujoco><asset>{self.assets}</asset><worldbody>{self.geoms}</worldbody></mujoco>",
@@ -46,7 +46,7 @@ class Case:
 
 
 def sample_case(seed: int) -> Case:
-    """The body of a seed; families take turns."""
+    """Sample the indenter of a seed; shape models take turns."""
     rng = np.random.default_rng([seed, 77])
     name = list(_SAMPLED)[seed % len(_SAMPLED)]
     at = (float(rng.uniform(-7e-3, 7e-3)), float(rng.uniform(-5e-3, 5e-3)))
@@ -173,7 +173,7 @@ def _tilted(degrees: float, about: float) -> str:
 
 
 def _mesh(points: Array) -> str:
-    """Asset of the convex hull of `points` (n, 3) m."""
+    """Return the asset of the convex hull of `points` (n, 3), m, as MJCF text."""
     text = " ".join(f"{value:.9g}" for value in points.ravel())
     return f'<mesh name="hull" vertex="{text}"/>'
 

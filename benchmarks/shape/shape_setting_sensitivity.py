@@ -60,7 +60,7 @@ class ShapeEstimate:
 
 
 def cases() -> list[Case]:
-    """The bodies that are pressed."""
+    """Return the indenters."""
     close = Case("multiple", "two close balls", _CLOSE, (0.5e-3, 0.5e-3))
     return [*map(sample_case, SAMPLED), close]
 
@@ -143,7 +143,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Half and twice of each number, as Markdown."""
+    """Format the effects of half and twice each parameter as a Markdown table."""
     lines = [
         f"Changes in {result['images']} images:",
         "",

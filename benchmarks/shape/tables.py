@@ -11,7 +11,7 @@ from benchmarks.shape import foreign_shapes
 
 _LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # force limits of the groups, N
 _SHARP = {"edge": "edges", "point": "corners", "multiple": "two balls"}
-_SMALL, _LARGE = 4.2, 30.0  # mm, of balls whose radius is asked for
+_SMALL, _LARGE = 4.2, 30.0  # radii of the evaluated balls, mm
 
 Row = dict[str, Any]
 
@@ -64,7 +64,7 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
 
 
 def _summary(rows: list[Row]) -> dict[str, Any]:
-    """Areas, radii, kinds and intervals."""
+    """Summarize areas, radii, kinds and intervals."""
     broad = _broad(rows)
     balls = [
         row
@@ -92,7 +92,7 @@ def _summary(rows: list[Row]) -> dict[str, Any]:
 
 
 def _broad(rows: list[Row]) -> dict[str, list[Row]]:
-    """Those that have an area to speak of, by how firmly they are pressed."""
+    """Group the rows with a contact area by force."""
     broad = [row for row in rows if row["family"] in ("smooth", "flat")]
     firm = [row for row in broad if row["force_true_N"] >= _FIRM]
     return {
@@ -142,7 +142,7 @@ def _curvatures_cover(row: Row) -> list[bool]:
 
 
 def table(result: dict[str, Any]) -> str:
-    """The table of the page.
+    """Format the table of the page.
 
     Args:
         result: Of the benchmark.

@@ -17,11 +17,11 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import DEFAULT_MESH
 from mjtactile.sim.rendering.renderer import Renderer
 
-# a reference is the mean of so many; s of load; m slid that end a case
+# images averaged for a reference; duration of the load, s; sliding distance that ends a case, m
 _IMAGES = 10
 _SECONDS = 1.5
 _ENOUGH = 2e-3
-# shares of the limit of friction: above, everything slides; below, something sticks again
+# fractions of the friction limit: above, all slides; below, a part sticks again
 _GROSS = 0.95
 _STILL = 0.85
 
@@ -45,8 +45,8 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """The looks of the left and the right finger, from the beginning of the load on, and the
-    simulation's `flags`."""
+    """Images of the left and the right finger from the start of the load, and the simulation's
+    `flags`."""
 
     fingers: tuple[list[Sample], list[Sample]]
     flags: Flags
@@ -76,7 +76,7 @@ def references(
     case: SlipCase,
     mesh: tuple[int, int] = DEFAULT_MESH,
 ) -> PipelineState:
-    """The sensor's own references, from images of it flat and inflated."""
+    """Measure the sensor's references from its flat and inflated images."""
     world = SlipWorld(design, case, mesh=mesh)
     renderer = Renderer(design, seed=case.seed)
     state = sensing_pipeline.initial_state()
@@ -99,8 +99,11 @@ def watch(
     mesh: tuple[int, int] = DEFAULT_MESH,
     test: bool = False,
 ) -> Watched:
-    """Grip and load the case's body; with `test` the grip is changed a little meanwhile. Raises
-    SimulationError where that cannot be simulated."""
+    """Grip and load the case's object; with `test` the grip is modulated meanwhile.
+
+    Raises:
+        SimulationError: The case cannot be simulated.
+    """
     world = SlipWorld(design, case, mesh=mesh, test=test)
     world.inflate(design.chamber.supply_gauge)
     renderers = [Renderer(design, seed=2 * case.seed + k) for k in range(2)]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scenes.slip_cases import SlipCase, plot_case
+from benchmarks.scenes.slip_cases import SlipCase, sample_slip_case
 from benchmarks.slip import active_slip_test
 from benchmarks.slip.evaluate_case import Watched, references, watch
 from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome
@@ -126,7 +126,7 @@ def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row
     A failed simulation gives one row without a finger. With `test` the result of the test counts,
     not that of the chain.
     """
-    case = plot_case(seed)
+    case = sample_slip_case(seed)
     design, sensing_pipeline, rest = _sensor(rate)
     try:
         return rows_of(case, watch(design, sensing_pipeline, rest, case, test=test), test)
@@ -143,7 +143,7 @@ def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row
 
 
 def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
-    """One row for each finger."""
+    """Return one row for each finger."""
     rows = []
     for name, friction, samples in zip(_FINGERS, case.friction, watched.fingers, strict=True):
         sensing_pipeline = [
@@ -176,15 +176,15 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
 
 @cache
 def _sensor(rate: float) -> tuple[SensorDesign, SensingPipeline, PipelineState]:
-    """The sensor, its chain, and its references, taken once a process."""
+    """Return the sensor, its chain, and its references, measured once per process."""
     design = load_sensor(SENSOR)
     design = replace(design, camera=replace(design.camera, rate=rate))
     sensing_pipeline = SensingPipeline(design)
-    return design, sensing_pipeline, references(design, sensing_pipeline, plot_case(0))
+    return design, sensing_pipeline, references(design, sensing_pipeline, sample_slip_case(0))
 
 
 def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
-    """Counts and shares; `rate` Hz of the cameras."""
+    """Compute counts and fractions; `rate` is that of the cameras, Hz."""
     evaluated = [row for row in rows if row["outcome"] in OUTCOMES]
     slow = 0.5 * rate / _SEEN  # mm/s
     groups = {"all slips": [row for row in evaluated if row["outcome"] in SLIPS]}

@@ -1,5 +1,7 @@
-"""This checkout against another one in turns: the loop at 30 and 60 Hz by phase, stages, start-up,
-the whole command."""
+"""Comparison of this checkout with another one, in turns.
+
+Compared are the loop at 30 and 60 Hz by phase, the stages, the start-up, and the whole command.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +30,11 @@ Notify = Callable[[str], None]
 
 
 def compare(other: Path, *, quick: bool, notify: Notify) -> dict[str, Any]:
-    """Both, `ROUNDS` times in turns; of each number the median. Raises InputError where `other` is
-    no checkout that runs."""
+    """Measure both checkouts `ROUNDS` times in turns, and return the median of each value.
+
+    Raises:
+        InputError: `other` is no checkout that runs.
+    """
     if not (other / "mjtactile" / "__init__.py").exists():
         raise InputError("no checkout of mjtactile", source=other, field="--baseline")
     rounds: list[dict[str, Any]] = []
@@ -75,8 +80,10 @@ def _probe(home: Path, rate: float, kind: str) -> dict[str, Any]:
 
 
 def _command(home: Path) -> dict[str, float]:
-    """Wall time, s, of `mjtactile --help` and of a whole `mjtactile grasp`, with recording, scoring
-    and figure."""
+    """Measure the wall time, s, of `mjtactile --help` and of a whole `mjtactile grasp`.
+
+    The grasp includes recording, scoring and figure.
+    """
     seconds = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, words in (
@@ -120,7 +127,7 @@ _LABELS = {
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown."""
+    """Format the comparison in Markdown."""
     rounds = result["rounds"]
     lines = [
         f"Baseline (before) and this version (now), alternating, median of {len(rounds)} runs; "

@@ -14,16 +14,18 @@ import numpy as np
 
 
 def count(*roots: Any) -> int:
-    """Denormal numbers other than zero in all arrays of floats that `roots` refer to, themselves or
-    by way of others of this package's objects."""
+    """Count denormal numbers in all float arrays that `roots` refer to.
+
+    References through other objects of this package are followed.
+    """
     found = 0
-    seen = set()
+    visited = set()
     waiting = list(roots)
     while waiting:
         item = waiting.pop()
-        if id(item) in seen:
+        if id(item) in visited:
             continue
-        seen.add(id(item))
+        visited.add(id(item))
         if isinstance(item, np.ndarray):
             found += _denormal(item)
         elif isinstance(item, (list, tuple, dict)) or type(item).__module__.startswith(

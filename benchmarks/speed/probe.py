@@ -118,7 +118,8 @@ def _alone(call: Any, *args: Any) -> list[float]:
 
 
 def _factors(moments: list[tuple[str, float, float]]) -> dict[str, float]:
-    """Simulated over wall time in each phase, from touch to release, and of all."""
+    """Return the ratio of simulated to wall time in each phase from touch to release, and of
+    all."""
     simulated: dict[str, float] = defaultdict(float)
     wall: dict[str, float] = defaultdict(float)
     for (_, t0, w0), (phase, t1, w1) in zip(moments, moments[1:], strict=False):

@@ -34,7 +34,10 @@ SEED = 0  # of the grasp
 
 
 def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str, Any]:
-    """All parts; draws speed.png into `out`. `against`: another checkout to compare with."""
+    """Measure all parts, and plot speed.png in `out`.
+
+    `against`: another checkout for comparison.
+    """
     notify = Progress().message
     compared = (
         {}
@@ -79,7 +82,8 @@ def _physics(setting: Setting, notify: Callable[[str], None]) -> dict[str, Any]:
 
 
 def _growth(meshes: tuple[tuple[int, int], ...], notify: Callable[[str], None]) -> dict[str, Any]:
-    """Core time of a step against the number of vertices; the slope in log-log axes."""
+    """Measure the core time of a step over the number of vertices, and the slope in log-log
+    axes."""
     rows = [
         _physics(Setting(mesh, 1 / 150), notify) | {"vertices": 2 * mesh[0] * mesh[1]}
         for mesh in meshes
@@ -109,8 +113,9 @@ def _rigid(name: str, notify: Callable[[str], None]) -> dict[str, Any]:
 
 
 def _loop(accuracy: str, workers: int, notify: Callable[[str], None]) -> dict[str, Any]:
-    """A whole grasp at CAMERA_RATE, as `mjtactile grasp` runs it but without scoring and recording:
-    wall and core time.
+    """Run a whole grasp at CAMERA_RATE, and measure its wall and core time.
+
+    It is the grasp of `mjtactile grasp` without scoring and recording.
 
     "held" counts from lifting to setting down: two sensors with sealed gas, friction, the object in
     the air.
@@ -156,7 +161,7 @@ def _loop(accuracy: str, workers: int, notify: Callable[[str], None]) -> dict[st
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown."""
+    """Format the result in Markdown."""
     reference = result["rigid"][0]["ms_per_s"]
     lines = [
         "Two sensors with sealed gas and friction hold an egg. Core time; compare rows of one "

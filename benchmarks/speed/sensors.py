@@ -1,5 +1,5 @@
-"""Many sensors in one scene: core time of a step with a ball resting on each of them, and with
-nothing on any (asleep)."""
+"""Core time of a step of many sensors in one scene, loaded by a ball each or without load
+(asleep)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def measure(counts: tuple[int, ...], notify: Callable[[str], None]) -> list[dict
 
 
 def scene(count: int, *, loaded: bool) -> World:
-    """So many sensors, settled; on each a ball, or nothing."""
+    """Build `count` settled sensors; if `loaded`, a ball rests on each."""
     return row_of(
         load_sensor("dense"),
         count,
@@ -57,7 +57,7 @@ def scene(count: int, *, loaded: bool) -> World:
 
 
 def table(rows: list[Mapping[str, Any]]) -> str:
-    """Markdown."""
+    """Format the rows as a Markdown table."""
     one = rows[0]
     lines = [
         f"| sensors in a scene | step, {1e3 * _MASS:.0f} g on each, ms | time per sensor / time of "

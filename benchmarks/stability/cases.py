@@ -1,5 +1,4 @@
-"""The matrix of `mjtactile bench stability`: one case a point, one axis at a time and the pairs
-that matter."""
+"""The case matrix of `mjtactile bench stability`: single axes and the relevant pairs of axes."""
 
 from __future__ import annotations
 
@@ -83,7 +82,7 @@ _INDENTERS = (
 
 
 def _young_for(young: float) -> float:
-    """A pressure that a sheet of this modulus bulges under as the paper's does, Pa."""
+    """Return the pressure, Pa, at which a membrane of this modulus bulges like the paper's."""
     return 1000.0 * young / 1e6
 
 
@@ -228,14 +227,16 @@ def _objects() -> Iterator[Case]:
 
 
 def matrix() -> list[Case]:
-    """All cases, more than 300."""
+    """Return all cases, more than 300."""
     hold = Case("long hold", "a million steps", "hold", mesh=(7, 7), steps=1_000_000)
     return [*_membranes(), *_gases(), *_grids(), *_shapes(), *_motions(), *_objects(), hold]
 
 
 def pruned() -> list[Case]:
-    """The cases that the tests run: the ends of every axis, on a small mesh where the mesh is not
-    the point."""
+    """Return the cases that the tests run.
+
+    They are the ends of every axis, on a small mesh unless the mesh is the subject.
+    """
     names = {
         "0.05 MPa, 4 ms",
         "50 MPa, 4 ms",

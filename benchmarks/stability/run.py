@@ -51,7 +51,7 @@ _ACCOUNTED = {
     "energy": {"unsettled", "solver"},
     "weight": {"unsettled", "penetration", "solver"},
 }
-"""A failed check, and the flags that account for it; a number that is not finite has none."""
+"""A failed check, and the flags that account for it; a value that is not finite has none."""
 
 
 def run(
@@ -61,8 +61,10 @@ def run(
     *,
     resume: bool = False,
 ) -> dict[str, Any]:
-    """Run the matrix (`quick`: the pruned set) in two processes; draw `stability.png` into `out`;
-    return the JSON.
+    """Run the matrix in two processes, with `quick` the pruned set.
+
+    It plots `stability.png` in `out`, and returns the JSON object. Every finished case is appended
+    to `stability.jsonl`. `resume` keeps those of an interrupted run.
 
     Every case that ends is appended to `stability.jsonl`; `resume` keeps those that an interrupted
     run left there.
@@ -100,8 +102,7 @@ def run(
 
 
 def _kept(log: Path, place: Mapping[tuple[str, str], int]) -> list[dict[str, Any]]:
-    """The cases of `place` that an earlier run finished; a line that it did not finish is left
-    out."""
+    """Return the cases of `place` that an earlier run finished; incomplete lines are left out."""
     rows = {}
     for line in log.read_text(encoding="utf-8").splitlines() if log.is_file() else ():
         with contextlib.suppress(ValueError):
@@ -271,8 +272,10 @@ def _rest(world: World, limit: float = 2.5, speed: float = 2e-3) -> bool:
 
 
 def _force_and_energy(world: World, case: Case) -> tuple[Any, tuple[float, float]]:
-    """Mean force over 0.1 s (a shaken one: 0.5 s, whole periods), and the largest kinetic energy in
-    its two halves."""
+    """Return the mean force over 0.1 s, and the largest kinetic energy in its two halves.
+
+    A shaken case is averaged over 0.5 s, whole periods.
+    """
     count = round((0.5 if any(case.shake) else 0.1) / world.timestep)
     force = np.zeros(3)
     energy = np.zeros(count)
@@ -291,7 +294,7 @@ _AXES = {
 
 
 def table(result: dict[str, Any]) -> str:
-    """Markdown: outcomes and flags by axis, then every refused or failed case with its reason."""
+    """Format outcomes and flags by axis, and every refused or failed case with its reason."""
     rows = result["cases"]
     outcomes = [outcome for outcome in OUTCOMES if any(row["outcome"] == outcome for row in rows)]
     lines = [
@@ -339,7 +342,7 @@ def _save(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def plot(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
-    """The map: a row of cells an axis, coloured by outcome."""
+    """Plot the map: one row of cells per axis, colored by outcome."""
     axes = figure.subplots()
     names = list(dict.fromkeys(row["axis"] for row in rows))
     for number, name in enumerate(names):

@@ -35,13 +35,13 @@ _SCRIPT = """(() => {
         const call = time => { last = performance.now(); one(time); };
         return setTimeout(() => soon(call), Math.max(0, last + 25 - performance.now()));
     };
-    window.seen = [];
+    window.images = [];
     for (const name of ["texImage2D", "texSubImage2D"]) {
         const real = context[name];
         context[name] = function (...all) {
             const k = all.findIndex(ArrayBuffer.isView), at = all[k + 1] || 0;
             if (k >= 0 && all.includes(320) && all.includes(240) && all[k][at + 2] === MARK)
-                window.seen.push([all[k][at] + 256 * all[k][at + 1], Date.now()]);
+                window.images.push([all[k][at] + 256 * all[k][at + 1], Date.now()]);
             return real.apply(this, all);
         };
     }
@@ -76,9 +76,9 @@ def check_image(url: str, folder: Path) -> Iterator[Callable[[], list[tuple[int,
             ask("Page.navigate", url=url)
             yield lambda: [
                 (int(n), 1e-3 * ms)
-                for n, ms in ask("Runtime.evaluate", expression="window.seen", returnByValue=True)[
-                    "result"
-                ]["value"]
+                for n, ms in ask(
+                    "Runtime.evaluate", expression="window.images", returnByValue=True
+                )["result"]["value"]
             ]
     finally:
         process.kill()

@@ -1,4 +1,4 @@
-"""Chromium without a window, for a page that is looked at by its DevTools protocol."""
+"""Headless Chromium, whose page is inspected through the DevTools protocol."""
 
 from __future__ import annotations
 

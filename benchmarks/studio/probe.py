@@ -23,13 +23,13 @@ from mjtactile.studio.serve import watch
 from mjtactile.studio.session_bridge import SessionBridge
 
 MARK = 171  # third byte of an image whose first two bytes are the cycle number
-# of a cycle, s: of the simulation, on the clock, and of core time with its processes
+# times of a cycle, s: simulated, wall, and core time with child processes
 Moments = tuple[float, float, float]
-_FRAMES = 60  # that are drawn before it begins: the page has its model and its textures
+_FRAMES = 60  # rendered before the start: by then the page has its model and textures
 
 
 class Watched(SessionBridge):
-    """A show that takes its own time."""
+    """A session bridge that measures its own time."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ def studio() -> dict[str, Any]:
 
     def marked(self: Any, k: int, view: str, rgb: Any) -> None:
         if (k, view) == (0, "image"):
-            high, low = divmod(self._pictured[0].number, 256)
+            high, low = divmod(self._captured[0].number, 256)
             rgb[0, 0] = low, high, MARK
         upload(self, k, view, rgb)
 
@@ -86,14 +86,14 @@ def studio() -> dict[str, Any]:
 
 
 def _start(bridge: Watched) -> None:
-    """Go on when the page is up."""
+    """Start the run when the page is open."""
     while bridge.frame_requests < 3 * _FRAMES:  # three windows ask in each frame
         time.sleep(0.05)
     bridge.paused = False
 
 
 class Plain(Observer):
-    """Keeps nothing but the time."""
+    """Observer that stores only the time."""
 
     def __init__(self) -> None:
         self.cycles: list[Moments] = []
@@ -103,15 +103,17 @@ class Plain(Observer):
 
 
 def plain() -> dict[str, Any]:
-    """Without."""
+    """Run without Studio."""
     recorder = Plain()
     run_grasp(Scenario(controller="gentle"), [recorder])
     return _speed(recorder.cycles)
 
 
 def _speed(cycles: list[Moments]) -> dict[str, float]:
-    """Simulated over wall time, and core time of a simulated second, from the third cycle on: with
-    Studio the first waits for the page."""
+    """Return simulated over wall time, and core time per simulated second, s.
+
+    Counting starts at the third cycle, since with Studio the first waits for the page.
+    """
     simulated, wall, core = (end - start for start, end in zip(cycles[2], cycles[-1], strict=True))
     return {"factor": simulated / wall, "core_s": core / simulated}
 

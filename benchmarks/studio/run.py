@@ -1,6 +1,6 @@
 """`mjtactile bench studio`: a grasp watched in Studio against the same grasp without it, in turns.
 
-The page is headless Chromium's, on the same processors, and does all but draw.
+The page runs in headless Chromium on the same processors, without rendering.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ Notify = Callable[[str], None]
 
 
 def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict[str, Any]:
-    """Speeds, ms of the session's thread a cycle, and ages of images in ms when the page's frame
-    got them; of each round.
+    """Measure each round: speeds, time on the session thread, and age of the images.
 
-    Raises InputError where there is no Chromium.
+    The time is in ms per cycle. The age, ms, is that on arrival in the page's frame.
+
+    Raises:
+        InputError: Chromium is not installed.
     """
     notify = notify or Progress().message
     if CHROMIUM is None:
         raise InputError(
-            "no Chromium here to look at it: apt-get install chromium", field="bench studio"
+            "Chromium is not installed: apt-get install chromium", field="bench studio"
         )
     rounds = []
     for k in range(1 if quick else ROUNDS):
@@ -61,9 +63,9 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
 
 
 def _probe(kind: str) -> dict[str, Any]:
-    """One grasp in a process of its own; Studio's is looked at."""
+    """Run one grasp in a separate process; with "studio" a page is open."""
     command = [sys.executable, "-m", "benchmarks.studio.probe", kind]
-    seen = None
+    arrivals = None
     last = ""
     with (
         tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as home,
@@ -81,21 +83,21 @@ def _probe(kind: str) -> dict[str, Any]:
         assert process.stdout is not None
         for line in process.stdout:
             last = line
-            if seen is None and (found := _ADDRESS.search(line)):
-                seen = stack.enter_context(check_image(found.group(), Path(home) / "page"))
+            if arrivals is None and (found := _ADDRESS.search(line)):
+                arrivals = stack.enter_context(check_image(found.group(), Path(home) / "page"))
         if not last.startswith("{"):
             raise InputError(f"the grasp ended with {last!r}", field="bench studio")
         result = json.loads(last)
-        return result if seen is None else {**result, **ages(result["taken"], seen())}
+        return result if arrivals is None else {**result, **ages(result["taken"], arrivals())}
 
 
-def ages(taken: list[float], seen: list[tuple[int, float]]) -> dict[str, Any]:
+def ages(taken: list[float], arrived: list[tuple[int, float]]) -> dict[str, Any]:
     """Compute the age of images when they reached the page, ms.
 
-    `taken`: times, s, of the images; `seen`: pairs of cycle and time, s.
+    `taken`: times, s, of the images; `arrived`: pairs of cycle and time, s.
     """
     first: dict[int, float] = {}
-    for number, when in seen:
+    for number, when in arrived:
         first.setdefault(number, when)
     late = sorted(
         1e3 * (when - taken[number])
@@ -103,7 +105,7 @@ def ages(taken: list[float], seen: list[tuple[int, float]]) -> dict[str, Any]:
         if _FIRST <= number < len(taken)
     )
     if not late:
-        raise InputError("the page got no picture", field="bench studio")
+        raise InputError("the page got no image", field="bench studio")
     return {
         "pictures": len(late),
         "late_ms": statistics.median(late),
@@ -112,7 +114,7 @@ def ages(taken: list[float], seen: list[tuple[int, float]]) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """Markdown."""
+    """Format the result as a Markdown table."""
     rounds = result["rounds"]
 
     def median(name: str) -> float:

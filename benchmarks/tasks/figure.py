@@ -19,7 +19,7 @@ _STEP = 0.15  # of a task's row
 
 
 def plot(result: Mapping[str, Any], path: Path) -> None:
-    """A row a task, a dot a controller, with its 95 % interval."""
+    """Plot one row per task and one dot per controller, with its 95 % interval."""
     if (figure := new_figure(path.name, (8.0, 5.2))) is None:
         return
     axes = figure.subplots()

@@ -43,7 +43,7 @@ def step(observation: Observation) -> Command:
 
 
 class Oracle(Observer):
-    """A controller and, as an observer, the one who looks at the truth for it."""
+    """A controller that, as an observer, also reads the ground truth."""
 
     path = Path(__file__)
     sees = False
@@ -62,13 +62,13 @@ class Oracle(Observer):
         self.need = 0.0
 
     def start(self, session: Any) -> None:
-        """Take hold of the truth."""
+        """Store the simulated world of the session."""
         self._scorer = TaskScorer.of(self._scenario, session.rig)
         fingers = len(session.rig.fingers)
         self._sampled = load_task(self._scenario.task).sample(self._scenario.seed, fingers)
 
     def on_images(self) -> None:
-        """Look at the world while it stands."""
+        """Read the ground truth while the simulation waits."""
         scorer = self._scorer
         if scorer is None:
             return

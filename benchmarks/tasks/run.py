@@ -40,8 +40,7 @@ SEED = 70_000
 EPISODES = 200
 HARSH = ("weigh", "pour", "bump")
 HARSH_CONTROLLERS = (CONTROLLERS[0], CONTROLLERS[-1])
-"""Tasks that are also done in worlds of `--randomization harsh`, and by whom: a quarter as many
-episodes."""
+"""Controllers that also run tasks with `--randomization harsh`, a quarter as many episodes."""
 QUICK = 3
 _TURN = 10  # episodes of a task before the next one's turn
 _WEIGHED_FROM = 0.02  # kg
@@ -109,7 +108,7 @@ def run(
 
 
 def suite_of(level: str, *, harsh: bool = False) -> Suite:
-    """The tasks at one level, in `--randomization default`'s worlds or in harsh ones."""
+    """Return the tasks at one level, with `--randomization default` or harsh."""
     name = NAME if level == MESH else f"{NAME}-{level}"
     randomization = "harsh" if harsh else "default"
     tasks = HARSH if harsh else TASKS
@@ -126,7 +125,7 @@ def suite_of(level: str, *, harsh: bool = False) -> Suite:
 
 
 def _round(suite: Suite, folder: Path, names: Sequence[str], count: int, resume: bool) -> None:
-    """The first `count` episodes of each task, by each controller in a folder of its own."""
+    """Run the first `count` episodes of each task by each controller, in separate folders."""
     for name in names:
         own = ORACLE if name == "oracle" else name
         run_round(
@@ -139,13 +138,16 @@ def _round(suite: Suite, folder: Path, names: Sequence[str], count: int, resume:
 
 
 def _kept(folder: Path) -> list[Path]:
-    """A folder a controller, of those that have one."""
+    """Return the existing folders of the shown controllers."""
     return [folder / name for name in SHOWN if (folder / name).exists()]
 
 
 def lines_of(suite: Suite, folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """The lines of every task that lie in `folder`, of this suite and level. Raises InputError
-    where they are of another."""
+    """Return the lines of every task in `folder`.
+
+    Raises:
+        InputError: The lines belong to another suite or level.
+    """
     return {
         task: [line for own in _kept(folder) for line in read(suite, own, task)]
         for task in suite.tasks
@@ -184,7 +186,7 @@ def results(out: Path, count: int, level: str) -> dict[str, Any]:
 
 
 def together(lines: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
-    """The summary of all tasks' lines: an episode of one is none of another's."""
+    """Summarize the lines of all tasks together; every episode is counted separately."""
     own = [
         dict(line) | {"episode": line["episode"] * len(lines) + place}
         for place, task in enumerate(lines)
@@ -219,8 +221,8 @@ class _Scale(Observer):
         mass = cycle.sent.memory.get("mass")
         if cycle.sent.phase == "hold" and isinstance(mass, float) and math.isfinite(mass):
             bodies = ground_truth.object_bodies(self._world)
-            really = float(self._world.model.body_mass[bodies].sum())
-            self.found = {"weighed_g": 1e3 * mass, "mass_g_true": 1e3 * really}
+            actual = float(self._world.model.body_mass[bodies].sum())
+            self.found = {"weighed_g": 1e3 * mass, "mass_g_true": 1e3 * actual}
 
 
 def weighed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -237,14 +239,14 @@ def weighed(lines: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     ]
     if len(pairs) < 2:
         return {"objects": len(pairs)}
-    reported, really = np.array(pairs).T
-    error = reported - really
-    asked = _WEIGHT_SD[0] * really + _WEIGHT_SD[1]
+    reported, true = np.array(pairs).T
+    error = reported - true
+    required = _WEIGHT_SD[0] * true + _WEIGHT_SD[1]
     return {
         "objects": len(pairs),
         "mean_g": 1e3 * float(error.mean()),
         "sd_g": 1e3 * float(error.std(ddof=1)),
-        "mean_share": float((error / really).mean()),
-        "sd_share": float((error / really).std(ddof=1)),
-        "over_asked": float(np.sqrt(np.mean((error / asked) ** 2))),
+        "mean_share": float((error / true).mean()),
+        "sd_share": float((error / true).std(ddof=1)),
+        "over_asked": float(np.sqrt(np.mean((error / required) ** 2))),
     }

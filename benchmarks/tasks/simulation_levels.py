@@ -1,4 +1,4 @@
-"""Levels of simulation that tasks are run at, and whether episodes end alike at two of them."""
+"""Simulation levels of the tasks, and agreement of the outcomes at two levels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""One thin body or face that is driven into a sensor in a user's scene, to a depth, at a speed."""
+"""One thin object or face that is driven into a sensor in a user's scene, to a depth, at a
+speed."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ class Body:
     depth: float
 
     def rotation(self, turn: float) -> Array:
-        """Rotation (3, 3) in S, turned by `turn` rad about S's z."""
+        """Return the rotation (3, 3) in S, with the indenter rotated by `turn` rad about S's z."""
         turned = np.zeros(9)
         tilted = np.zeros(9)
         for matrix, axis, angle in ((turned, "z", turn), (tilted, "x", self.tilt)):

@@ -21,10 +21,10 @@ from mjtactile.runtime.progress import Progress
 PLACES, PLACES_QUICK = 40, 2
 SPEEDS = (0.01, 0.03, 0.1)  # speeds of the drive, m/s
 _GRID = (81, 61)
-_COARSER = ((61, 46), (41, 31))  # for wires, on which the finest film does not come to rest
+_COARSER = ((61, 46), (41, 31))  # for wires, which have no equilibrium on the finest grid
 _AROUND = 3e-3  # maximum distance of positions from the center along x and y, m
 _SEED = 20
-_ARC = np.radians(np.linspace(-45, 45, 13))  # of a wire, that a sheet can touch
+_ARC = np.radians(np.linspace(-45, 45, 13))  # of a wire, which a membrane can touch
 _FLANK = 3e-3  # length of the flanks that extend a wire, m, so that it covers nodes
 
 Notify = Callable[[str], None]
@@ -79,7 +79,7 @@ def _compared(
 def _reference(
     membranes: list[QuasistaticMembrane], body: Body, at: Array, turn: float
 ) -> float | None:
-    """Force, N, of the finest film that comes to rest on the body."""
+    """Return the force, N, on the finest quasi-static membrane with an equilibrium."""
     forces = (
         _quasistatic_force(membrane, body, at, turn)
         for membrane in membranes[1 if body.tilt else 0 :]
@@ -90,7 +90,10 @@ def _reference(
 def _quasistatic_force(
     membrane: QuasistaticMembrane, body: Body, at: Array, turn: float
 ) -> float | None:
-    """Force, N, of the film at rest on the body; None where it finds none."""
+    """Return the force, N, of the quasi-static membrane on the indenter.
+
+    It is None if there is no equilibrium.
+    """
     from scipy.interpolate import RectBivariateSpline
 
     surface = RectBivariateSpline(membrane.x, membrane.y, membrane.rest.displacements[2])
@@ -128,7 +131,7 @@ def _obstacle(body: Body, p_SO: tuple[float, float, float], R_SO: Array) -> Obst
 
 
 def table(result: dict[str, Any]) -> str:
-    """Force over the film's, by body, as Markdown."""
+    """Format the force over that of the quasi-static membrane, by object, in Markdown."""
     speeds = ", ".join(f"{1e3 * s:.0f}" for s in result["speeds"])
     lines = [
         f"{result['places']} positions within {1e3 * _AROUND:.0f} mm of the center, any rotation, "

@@ -1,1 +1,1 @@
-"""Touch against truth, random indenters."""
+"""Estimated touch against ground truth, on random indenters."""

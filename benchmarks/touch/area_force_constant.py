@@ -30,7 +30,7 @@ def calibrate_area(
     forces = []
     for depth in (0.0, *depths):
         world.press(depth)
-        seen = [view.perception.perceive(image, world.time).surface for image in view.images()]
-        areas.append(float(np.mean([surface.area for surface in seen if surface is not None])))
+        surfaces = [view.perception.perceive(image, world.time).surface for image in view.images()]
+        areas.append(float(np.mean([surface.area for surface in surfaces if surface is not None])))
         forces.append(-float(world.drive_force[2]))
     return AreaCalibration.fit(np.array(areas[1:]) - areas[0], np.array(forces[1:]))

@@ -47,7 +47,7 @@ _PERIOD = 1 / 30
 _SIZES = {"sphere": (3e-3, 12e-3), "cylinder": (2.5e-3, 6e-3), "box": (5e-3, 11e-3)}
 _FORCE_MAX = 2.5  # maximum force, N
 _OFF_NOMINAL_FRAMES = 20
-_FRAMES = 3  # looked at in each state; the last one counts
+_FRAMES = 3  # images of each state; the last one counts
 
 Notify = Callable[[str], None]
 
@@ -72,7 +72,7 @@ class LayoutView(View):
         )
 
     def measure_rest_reference(self, pressure: float) -> None:
-        """The rest state of the weak form, which the other levels are compared with."""
+        """Measure the rest state of the weak form, the baseline of the other levels."""
         sensing = self.perception.pipeline
         state = self.perception.state
         self._weak_rest = self._weak.rest_state(
@@ -82,7 +82,7 @@ class LayoutView(View):
     def estimate(self, image: Image | None = None) -> Touch:
         image = self.image() if image is None else image
         touch = self.perception.perceive(image, image.time)
-        # once more from the surface on: time on one core
+        # repeat from the surface on: time on one core
         if touch.surface is not None and touch.markers is not None:
             start = time.thread_time()
             sensing = self.perception.pipeline
@@ -94,8 +94,10 @@ class LayoutView(View):
         return touch
 
     def other_levels(self, touch: Touch, calibration: AreaCalibration) -> dict[str, Any]:
-        """Normal force, N, by the paper's levels 1 and 2 and by the weak form on interpolated
-        markers."""
+        """Estimate the normal force, N, by the paper's levels 1 and 2 and by the weak form.
+
+        The weak form uses interpolated markers.
+        """
         reference = self.perception.state.reference
         surface = touch.surface
         markers = touch.markers
@@ -110,7 +112,7 @@ class LayoutView(View):
 
 
 def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> dict[str, Any]:
-    """Press, drag and hold; one row for each look of each sensor."""
+    """Press, drag and hold; return one row for each image of each sensor."""
     mesh = MESH_QUICK if quick else MESH
     calibrations = {name: calibrate_area(load_sensor(name)) for name in SENSORS}
     rows = []
@@ -156,7 +158,7 @@ def _start(
     seed: int,
     names: tuple[str, ...] = SENSORS,
 ) -> tuple[PressWorld, dict[str, LayoutView]]:
-    """An inflated, sealed sensor, its cameras with references taken, and a waiting indenter."""
+    """Build an inflated, sealed sensor, its cameras with references, and a waiting indenter."""
     world = PressWorld("dense", indenter, at=at, tilt=tilt, mesh=mesh)
     views = {name: LayoutView(load_sensor(name), world, seed) for name in names}
     supply = world.design.chamber.supply_gauge
@@ -167,7 +169,7 @@ def _start(
 
 
 def random_indenter(rng: np.random.Generator, seed: int) -> Indenter:
-    """Kinds alternate; the size is drawn from the seed."""
+    """Sample an indenter's size; kinds alternate with the seed."""
     kind = list(_SIZES)[seed % len(_SIZES)]
     smallest, largest = _SIZES[kind]
     return Indenter(kind, rng.uniform(smallest, largest))
@@ -179,7 +181,7 @@ def _episode(
     calibrations: Mapping[str, AreaCalibration],
     milliseconds: dict[str, list[float]],
 ) -> list[dict[str, Any]]:
-    """A light touch, a press, a deeper press, and a drag along x, of one random indenter."""
+    """Apply a light touch, two loads and a drag along x with one random indenter."""
     rng = np.random.default_rng([seed, 5])
     indenter = random_indenter(rng, seed)
     world, views = _start(
@@ -222,7 +224,7 @@ def _sharp_episode(seed: int, case: Case, mesh: tuple[int, int]) -> list[dict[st
 
 
 def _compare(world: PressWorld, touch: Touch) -> dict[str, Any]:
-    """Estimate and truth of one look."""
+    """Return the estimate and the ground truth of one image."""
     forces, points, _ = ground_truth.contact_forces(world, 0)
     wrench_true = np.r_[forces.sum(axis=0), np.cross(points, forces).sum(axis=0)]
     assert touch.traction is not None and touch.contact is not None

@@ -23,17 +23,17 @@ _EACH, _EACH_QUICK = 3, 1
 _DEPTHS = (0.8e-3, 1.6e-3, 2.6e-3)
 _DRAG = 1e-3  # maximum drag at the maximum depth, m
 _MAX_FORCE = 1.5  # force limit, N
-_FRAMES = 3  # looked at in each state; the last one counts
+_FRAMES = 3  # images of each state; the last one counts
 
 
 def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
-    """Seeds and bodies.
+    """Return the seeds and indenters.
 
     Args:
         quick: One of each kind instead of three.
 
     Returns:
-        Of each kind as many.
+        The same number of each kind.
     """
     each = _EACH_QUICK if quick else _EACH
     sampled = [(seed, sample_case(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
@@ -94,7 +94,7 @@ def _estimates(
 
 
 def _against(touch: Touch, true: Array, suffix: str) -> dict[str, float]:
-    """Error of the normal force, and chi-square of the wrench over its six numbers."""
+    """Return the normal force error, N, and chi-square of the wrench over its six components."""
     traction = touch.traction
     assert traction is not None
     off = traction.wrench - true
@@ -103,15 +103,15 @@ def _against(touch: Touch, true: Array, suffix: str) -> dict[str, float]:
 
 
 def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """One sensor's numbers.
+    """Summarize the results of one sensor.
 
     Args:
-        name: Of the sensor.
-        rows: Of all sensors and bodies.
+        name: Name of the sensor.
+        rows: Rows of all sensors and indenters.
 
     Returns:
-        Of each kind of body: mean and worst error of the normal force, and mean chi-square, without
-        the shape and with it.
+        For each kind of indenter: mean and worst error of the normal force, and mean chi-square,
+        without and with the estimated shape.
     """
     entries = {}
     for body in BODIES:

@@ -1,4 +1,4 @@
-"""Numbers, table and picture of `mjtactile bench touch`."""
+"""Summary, table and figure of `mjtactile bench touch`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DIRECTION_MIN = 0.3  # minimum shear force for a direction error, N
 
 
 def summary(name: str, result: Mapping[str, Any]) -> dict[str, Any]:
-    """One sensor's numbers."""
+    """Summarize the results of one sensor."""
     rows = [row for row in result["touches"] if row["sensor"] == name]
     error = np.array([r["error_N"] for r in rows])
     true = np.array([r["force_true_N"] for r in rows])
@@ -70,9 +70,9 @@ def table(result: Mapping[str, Any]) -> str:
         "|---" * (2 + len(sensors)) + "|",
     ]
 
-    def line(quantity: str, asked: str, aim: str, show: Callable[[Mapping[str, Any]], str]) -> None:
+    def line(quantity: str, limit: str, aim: str, show: Callable[[Mapping[str, Any]], str]) -> None:
         lines.append(
-            f"| {quantity} | {f'{asked} ({aim})' if aim else asked} | "
+            f"| {quantity} | {f'{limit} ({aim})' if aim else limit} | "
             + " | ".join(show(s) for s in sensors.values())
             + " |"
         )

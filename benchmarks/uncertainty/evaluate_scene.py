@@ -24,7 +24,7 @@ _ABOVE = 1e-3
 # time without a touch, s; hold time of a force, s
 _QUIET = 0.2
 _HOLD = 0.3
-# taps, s of a tap's rest, s of going up and down
+# number of taps; rest of a tap, s; duration of the oscillation, s
 _TAPS = 3
 _TAP_HOLD = 0.1
 _RHYTHM = 1.2
@@ -35,7 +35,7 @@ _SQUEEZE = (0.5e-3, 4e-3)
 # maximum change of a constant force in a step: constant part, N, and fraction of the force
 _JUMP = 0.02
 _JUMP_FRACTION = 0.05
-# images between two looks at the area; N from which on there is one
+# images between two evaluations of the area; minimum force for an area, N
 _AREA_EVERY = 5
 _FORCE_MIN = 0.02
 
@@ -56,15 +56,18 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """All looks of a scene, and the simulation's `flags`."""
+    """All images of a scene, and the simulation's `flags`."""
 
     samples: list[Sample]
     flags: Flags
 
 
 def watch(scene: Scene) -> Watched:
-    """Take references, then move; every image. Raises SimulationError where that cannot be
-    simulated."""
+    """Take references, then move, and evaluate every image.
+
+    Raises:
+        SimulationError: The scene cannot be simulated.
+    """
     design = scene.design
     samples = []
     world: World = PressWorld(
@@ -121,7 +124,7 @@ def watch(scene: Scene) -> Watched:
 
 
 def _moves(scene: Scene, world: World) -> Iterator[float]:
-    """Move the indenter; yields for how many s it rests."""
+    """Move the indenter; yield the durations, s, for which it rests."""
     if not isinstance(world, PressWorld):
         yield 2 * _HOLD
         return
@@ -147,7 +150,7 @@ def _force(world: World) -> float:
 
 
 def _press_until(scene: Scene, world: PressWorld, force: float) -> None:
-    """Go down a step at a time until `force` is reached, or the deepest that is allowed."""
+    """Lower the indenter in steps until `force`, N, or the maximum depth is reached."""
     depth = max(world.depth, -_ABOVE)
     while _force(world) < force and depth < _DEEPEST:
         depth += scene.speed * world.timestep
@@ -155,8 +158,7 @@ def _press_until(scene: Scene, world: PressWorld, force: float) -> None:
 
 
 def _tap(scene: Scene, world: PressWorld) -> Iterator[float]:
-    """Down at the scene's speed to its depth, or until it is too strong, a short rest, and up
-    again."""
+    """Lower at the scene's speed to its depth or the force limit, rest shortly, and retract."""
     depth = -_ABOVE
     while depth < scene.depth and _force(world) < _STRONGEST:
         depth = min(depth + scene.speed * world.timestep, scene.depth)
@@ -167,7 +169,7 @@ def _tap(scene: Scene, world: PressWorld) -> Iterator[float]:
 
 
 def _beat(scene: Scene, world: PressWorld) -> None:
-    """Up and down between a little above first touch and the scene's depth."""
+    """Oscillate between a little above first touch and the scene's depth."""
     top = -0.3e-3
     start = world.time
     world.drive(top, 0.0, _FAST)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.uncertainty.evaluate_scene import Sample, watch
-from benchmarks.uncertainty.scenes import render_scene
+from benchmarks.uncertainty.scenes import sample_scene
 from benchmarks.uncertainty.tables import summary, table
 from mjtactile.core.errors import SimulationError
 from mjtactile.core.status import OK
@@ -35,7 +35,10 @@ Notify = Callable[[str], None]
 def run(
     out: Path, *, quick: bool = False, resume: bool = False, notify: Notify = lambda _: None
 ) -> dict[str, Any]:
-    """Watch the scenes; the JSON has no rows, which are in `out`/scenes."""
+    """Evaluate the scenes and return the JSON object.
+
+    It has no rows; these are in `out`/scenes.
+    """
     folder = out / "scenes"
     folder.mkdir(parents=True, exist_ok=True)
     seeds = range(FIRST_SEED, FIRST_SEED + (SCENES_QUICK if quick else SCENES))
@@ -53,7 +56,7 @@ def run(
 
 def scene_rows(seed: int) -> dict[str, Any]:
     """Evaluate one scene; return its description, and a row for each image."""
-    scene = render_scene(seed)
+    scene = sample_scene(seed)
     about = {
         "seed": seed,
         "kind": scene.kind,

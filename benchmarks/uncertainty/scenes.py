@@ -58,7 +58,7 @@ class Scene:
 
     @property
     def design(self) -> SensorDesign:
-        """The sensor, with its supply."""
+        """Design of the sensor, with its supply."""
         name, _, coarse = self.sensor.partition(" ")
         design = load_sensor(name)
         camera = design.camera
@@ -80,14 +80,17 @@ class Scene:
 
     @property
     def shape(self) -> str:
-        """What touches."""
+        """Name of the object in contact."""
         if self.kind == "hold":
             return self.body.kind
         return self.indenter.path.stem if self.indenter.path else self.indenter.kind
 
 
-def render_scene(seed: int) -> Scene:
-    """Kinds and sensors alternate; all else is drawn from the seed."""
+def sample_scene(seed: int) -> Scene:
+    """Sample the scene of a seed.
+
+    Kinds and sensors alternate; all else is random.
+    """
     rng = np.random.default_rng([seed, 23])
     kind = KINDS[seed % len(KINDS)]
     sensors = FINE if seed >= FINE_FROM else SENSORS
@@ -129,7 +132,10 @@ def render_scene(seed: int) -> Scene:
 
 
 def _indenter(rng: np.random.Generator) -> Indenter:
-    """One in eight is sharp or double: a model; else balls, faces of cylinders and of boxes."""
+    """Sample an indenter.
+
+    One in eight is a sharp or double model. The others are spheres, cylinders and boxes.
+    """
     if rng.uniform() < 1 / 8:
         return Indenter(
             "model",

@@ -1,4 +1,4 @@
-"""Numbers and tables of `mjtactile bench uncertainty`."""
+"""Summary and tables of `mjtactile bench uncertainty`."""
 
 from __future__ import annotations
 
@@ -87,12 +87,12 @@ def _evaluate(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _areas(rows: Sequence[Row]) -> dict[str, Any]:
     """Compute the ratio of estimated to true area, for single patches."""
-    seen = [row for row in rows if row["area"] and row["area_true"] and row["touching"]]
+    known = [row for row in rows if row["area"] and row["area_true"] and row["touching"]]
     groups = {
-        "all": seen,
-        f"below {_LIGHT:g} N": [row for row in seen if _force(row) < _LIGHT],
-        f"{_LIGHT:g} to {_STRONG:g} N": [row for row in seen if _LIGHT <= _force(row) < _STRONG],
-        f"from {_STRONG:g} N on": [row for row in seen if _force(row) >= _STRONG],
+        "all": known,
+        f"below {_LIGHT:g} N": [row for row in known if _force(row) < _LIGHT],
+        f"{_LIGHT:g} to {_STRONG:g} N": [row for row in known if _LIGHT <= _force(row) < _STRONG],
+        f"from {_STRONG:g} N on": [row for row in known if _force(row) >= _STRONG],
     }
     return {
         name: _shares(np.array([row["area"] / row["area_true"] for row in group]))
@@ -126,7 +126,7 @@ _LABELS = {
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result in Markdown."""
     status = ", ".join(f"{count} {name}" for name, count in result["status"].items())
     lines = [
         f"{result['images']} images of {result['scenes']} scenes: {status}; "

@@ -4,7 +4,7 @@ see it in time."""
 import numpy as np
 import pytest
 
-from benchmarks.scenes.slip_cases import plot_case
+from benchmarks.scenes.slip_cases import sample_slip_case
 from benchmarks.scenes.slip_world import SlipWorld
 from benchmarks.slip.evaluate_case import references, watch
 from benchmarks.slip.score import Frame, outcome
@@ -12,7 +12,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sim import ground_truth
 
-CASE = plot_case(1000)  # an upright cylinder past which both fingers move
+CASE = sample_slip_case(1000)  # an upright cylinder past which both fingers move
 
 
 def test_truth_slides_at_the_speed_of_the_drag():

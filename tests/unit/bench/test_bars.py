@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.uncertainty.evaluate_scene import watch
 from benchmarks.uncertainty.run import run, scene_rows
-from benchmarks.uncertainty.scenes import FINE, FINE_FROM, KINDS, SENSORS, render_scene
+from benchmarks.uncertainty.scenes import FINE, FINE_FROM, KINDS, SENSORS, sample_scene
 from benchmarks.uncertainty.tables import summary, table
 from mjtactile.sim.scenes.indentation import Indenter
 
@@ -97,11 +97,11 @@ def test_areas_are_compared_where_both_are_known():
 
 
 def test_scenes_take_turns_and_are_what_they_state():
-    sampled = [render_scene(seed) for seed in range(40)]
+    sampled = [sample_scene(seed) for seed in range(40)]
     assert {scene.kind for scene in sampled} == set(KINDS) and {
         scene.sensor for scene in sampled
     } == set(SENSORS)
-    fine = [render_scene(FINE_FROM + seed) for seed in range(20)]
+    fine = [sample_scene(FINE_FROM + seed) for seed in range(20)]
     assert {scene.sensor for scene in fine} == set(FINE)
     for one in [*sampled, *fine]:
         frame = one.design.frame
@@ -113,12 +113,12 @@ def test_scenes_take_turns_and_are_what_they_state():
     assert max(near) < 12e-3  # a face's half width and a margin
     coarse = next(s for s in sampled if s.sensor == "dense at half resolution").design.camera
     assert (coarse.width, coarse.fx) == (320, 300.0)
-    assert render_scene(7) == render_scene(7)
+    assert sample_scene(7) == sample_scene(7)
 
 
 def test_a_short_scene_is_estimated_within_its_error_bars():
     one = replace(
-        render_scene(3),
+        sample_scene(3),
         mesh=(13, 11),
         indenter=Indenter("sphere", 8e-3),
         at=(1e-3, 2e-3),

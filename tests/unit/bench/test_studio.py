@@ -27,7 +27,7 @@ def test_an_image_is_as_old_as_when_the_page_first_had_it():
     found = run.ages(taken, seen)
     assert found["pictures"] == 3
     assert found["late_ms"] == pytest.approx(70) and found["late_90_ms"] == pytest.approx(70)
-    with pytest.raises(InputError, match="no picture"):
+    with pytest.raises(InputError, match="no image"):
         run.ages(taken, [(0, 190.0)])
 
 
