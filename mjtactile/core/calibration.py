@@ -118,7 +118,7 @@ class Calibration:
 
         Args:
             kind: Which part.
-            reasons: Why, a sentence each.
+            reasons: Reasons, one sentence each.
 
         Returns:
             A new calibration.

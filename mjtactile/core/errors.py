@@ -84,7 +84,7 @@ class ControllerError(InputError):
 
 
 class Interrupted(MjtactileError):
-    """A signal asked the run to end, and it did so in order."""
+    """A signal requested the end of the run, which then ended in order."""
 
     def __init__(self) -> None:
         super().__init__("interrupted")

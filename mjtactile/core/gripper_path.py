@@ -1,6 +1,6 @@
 """`GripperPath`: motion of a gripper over time, from waypoint to waypoint.
 
-Each segment is a minimum-jerk motion, which begins and ends at rest (Flash and Hogan, J.
+Each segment is a minimum-jerk motion, which starts and ends at rest (Flash and Hogan, J.
 Neuroscience 5, 1985).
 """
 
@@ -35,7 +35,7 @@ class Segment:
 class GripperPath:
     """Positions (x, y, z, tilt), m and rad, at which segments end, and their times, s.
 
-    Segment k begins at `starts[k]` and ends at `ends[k]`, relative to the end of the lift.
+    Segment k starts at `starts[k]` and ends at `ends[k]`, relative to the end of the lift.
     """
 
     starts: tuple[float, ...]

@@ -1,7 +1,7 @@
 """Access to servers on this computer: one check of Host and Origin, and a gate for other servers.
 
-Any page that a user opens may send requests to ports of this computer, and any site may let its own
-name point here. A server must therefore check who asks.
+Any page that a user opens may send requests to ports of this computer, and any site may point its
+own name to this computer. A server must therefore check the source of each request.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _BLOCK = 1 << 16  # bytes
 def refusal(headers: Mapping[str, str] | Message, viewers: Collection[str] | None = None) -> str:
     """Return the reason to reject a request with these headers; "" to accept it.
 
-    The request must use a name of this computer, because a site could let its own name point here.
-    It must also come from a page of the same origin.
+    The request must use a name of this computer, because a site could point its own name to this
+    computer. It must also come from a page of the same origin.
 
     Args:
         headers: Headers of the request; `get` must ignore case.

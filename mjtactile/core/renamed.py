@@ -1,8 +1,8 @@
 """Names that version 0.2.0 changed: keys of files, options, columns of recordings.
 
 The readers of files and the command line refuse an old name with the new one in the message. They
-read an old value with a warning. A recording keeps its old names for ever, so its reader translates
-them.
+read an old value with a warning. A recording keeps its old names permanently, so its reader
+translates them.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ class Scenario:
 
     @property
     def finger_sensor_names(self) -> dict[str, str]:
-        """The same of `sensors`, by finger."""
+        """Descriptions of `sensors`, by finger."""
         return {finger: _name(sensor) for finger, sensor in self.sensors.items()}
 
     def to_dict(self) -> dict[str, Any]:

@@ -55,7 +55,7 @@ class Stop:
         self._ends_process = ends_process
 
     def check(self) -> None:
-        """Raise Interrupted when a signal has come."""
+        """Raise Interrupted after a signal."""
         if self.asked:
             raise Interrupted
 

@@ -79,7 +79,8 @@ class SampledTask:
         return math.nan
 
     def stacked(self) -> SampledDisturbance | None:
-        """Return the event in which a second object is put on the held one; None without one."""
+        """Return the event in which a second object is placed on the held one. None: there is
+        none."""
         return next((event for event in self.events if event.kind == "stack"), None)
 
     def need(self, mass: float, friction: float, fingers: int) -> float:

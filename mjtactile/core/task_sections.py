@@ -251,7 +251,7 @@ class SuccessCriteria:
 
 
 def _require_order(value: Any, section: Section) -> None:
-    """Raise InputError for a range that ends below where it begins."""
+    """Raise InputError for a range whose maximum is below its minimum."""
     for name, found in entries(type(value)).items():
         span = getattr(value, name)
         if _is_range(span) and span[0] > span[1]:

@@ -43,7 +43,7 @@ def _work_queue(process: int, count: int) -> SimpleQueue[_Order]:
         _kept[process] = SimpleQueue(), []
     orders, threads = _kept[process]
     while len(threads) < count:
-        name = f"film-{process}-{len(threads)}"
+        name = f"membrane-{process}-{len(threads)}"
         threads.append(Thread(target=_run_work, args=(orders,), name=name, daemon=True))
         threads[-1].start()
     return orders
@@ -55,7 +55,7 @@ def _run_work(orders: SimpleQueue[_Order]) -> None:
         failure = None
         try:
             work(order)
-        except BaseException as error:  # noqa: BLE001 - is raised by who asked
+        except BaseException as error:  # noqa: BLE001 - the caller raises it
             failure = error
         done.put(failure)
         del work, done, failure  # release all references until the next item arrives

@@ -239,7 +239,7 @@ def _pool(kind: str, corners: Array | None, data: ArrayLike | None) -> Array:
             raise InputError(f"a {kind} takes no data", field="data")
         return _NO_POOL
     if data is None:
-        raise InputError(f"{kind} want some", field="data")
+        raise InputError(f"{kind} needs data", field="data")
     if kind == "heights":
         field = np.asarray(data, dtype=float)
         if field.ndim != 2 or np.isnan(field).any() or (field == -np.inf).any():

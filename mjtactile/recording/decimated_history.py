@@ -12,8 +12,8 @@ _ROOM = 96e6  # bytes of images
 
 class DecimatedHistory:
     """Between half of `most` cycles and all of them, with the scene at each; fewer where images are
-    large. When it is full, every second one goes, and from then on every second one is not
-    taken."""
+    large. When it is full, every second cycle is removed, and later only every second one is
+    stored."""
 
     def __init__(self, maximum: int = _CYCLES_MAX):
         self.kept: list[tuple[Seen, Any]] = []

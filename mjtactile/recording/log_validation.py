@@ -41,7 +41,7 @@ _ONE = {
         NUMBER,
     ),
 }
-"""Columns of one value. The others have a list of one a finger or valve."""
+"""Columns of one value. The others have a list with one value per finger or valve."""
 _LISTS = {
     "status": TEXT,
     "status_code": TEXT,

@@ -31,13 +31,13 @@ def recorded_sensors(
 
     Args:
         recording: The recording.
-        asked: Sensor that the user asked for, which must have the recorded values. None: not asked.
+        asked: Requested sensor, which must have the recorded values. None: no request.
 
     Returns:
         The sensors by finger.
 
     Raises:
-        InputError: Another sensor is asked for, or a recorded one is missing or wrong.
+        InputError: Another sensor is requested, or a recorded one is missing or wrong.
     """
     sensors = {finger: _sensor(recording, finger, asked) for finger in recording.fingers}
     if asked is not None:
@@ -124,5 +124,5 @@ def _warn_if_changed(folder: Path, kind: str, file: Mapping[str, str]) -> None:
 
 @cache
 def _warn(text: str) -> None:
-    """Log a warning once a process."""
+    """Log a warning once per process."""
     _logger.warning("%s", text)

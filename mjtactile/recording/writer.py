@@ -235,7 +235,7 @@ class Recorder(Observer):
         return self.cycles == 0 and (self.references == 0 or isinstance(error, InputError))
 
     def discard(self) -> None:
-        """Close and remove the recording: for a run that never began."""
+        """Close and remove the recording of a run that never started."""
         self.close()
         with contextlib.suppress(OSError):
             for path in (*(self.folder / FRAMES).glob("*.png"), self.folder / LOG):

@@ -163,7 +163,7 @@ def build_replay_rig(folder: str, asked: str | SensorDesign | None = None) -> Ri
 
     Args:
         folder: Folder of the recording, or of the run that contains it.
-        asked: Sensor that the user asked for; None: any.
+        asked: Requested sensor; None: any.
 
     Raises:
         InputError: The recording cannot be replayed, or has another sensor than `asked`.

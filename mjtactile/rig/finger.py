@@ -59,7 +59,7 @@ class Finger:
             gauge_pressure: Pa; the gauge's zero is added to it. None: seal the chamber as it is.
 
         Raises:
-            DeviceError: The valve does not obey.
+            DeviceError: The valve does not respond.
         """
         if self.valve is None:
             return

@@ -129,8 +129,9 @@ def _rotate_until_over(
 def _has_landed(cycle: ControlCycle) -> bool:
     """Return True if the controller has ended with the gripper down.
 
-    An empty gripper above the commanded placement, or above an object that stood when the fingers
-    opened, also counts. If the controller ends with the gripper raised, the retreat starts.
+    An empty gripper above the commanded placement, or above an object that stood on the table when
+    the fingers opened, also counts. If the controller ends with the gripper raised, the retreat
+    starts.
     """
     command = cycle.last
     if command.phase not in ENDS or cycle.supervisor.state == "safe":

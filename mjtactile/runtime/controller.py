@@ -192,7 +192,7 @@ def load_controller(name_or_path: str | Path) -> Controller:
     if isinstance(spec.loader, importlib.machinery.SourceFileLoader):
         spec.loader = _AsItStands(name, str(path))
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look up the types of their fields here
+    sys.modules[name] = module  # dataclasses resolve the types of their fields here
     try:
         spec.loader.exec_module(module)
     except KeyboardInterrupt:

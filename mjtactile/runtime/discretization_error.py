@@ -136,7 +136,7 @@ class GraspEstimate:
         )
 
     def _drive(self, world: GraspWorld, pose: Array, lift: Array, openings: Array) -> None:
-        """Step with the rigid parts put where they belong before every step."""
+        """Step the world, and correct the poses of the rigid parts before every step."""
         joint = self._object_joint(world)
         model = world.model
         data = world.data

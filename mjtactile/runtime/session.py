@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-# numpy's median fetches it when it is first asked, where a run may have no descriptor left
+# numpy's median fetches it at its first use, when a run may have no descriptor left
 import numpy.ma  # noqa: F401
 
 from mjtactile.core import signals

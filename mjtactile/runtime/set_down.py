@@ -68,7 +68,7 @@ class SuspendedLoad:
 
 
 class SafeSetDown:
-    """Decision whether a run that ended early has set the object down. Call `watch` once a cycle.
+    """Decision whether a run that ended early has set the object down. Call `watch` once per cycle.
 
     The retreat lowers the gripper and opens it. The object is set down if a finger was in contact
     until then, and the object stood.
@@ -99,7 +99,7 @@ class SafeSetDown:
 
 
 class SetDown:
-    """Decision about the set-down of one run. `watch` is called once a cycle."""
+    """Decision about the set-down of one run. `watch` is called once per cycle."""
 
     def __init__(self, place_height: float = 0.0):
         self._place = place_height

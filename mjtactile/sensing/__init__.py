@@ -1,2 +1,1 @@
-"""Pixels to touch; a room a stage (image, pose, shape, force, touch), and `pipeline` where they
-meet."""
+"""Touch from pixels. Each stage has its folder, and `pipeline` connects the stages."""

@@ -20,9 +20,9 @@ _GAUGE_STEP = 1.02  # ratio of the rest pressure above which the shapes need a n
 
 def finder_gauge(reference: Reference, current: float | None = None) -> float:
     """Return the gauge pressure at rest for which a shape estimator is made, Pa: the pressure as
-    first measured, in steps of 2 % if gas was let in or out, leaked or became warmer. Compression
-    of sealed gas by a touch is not included, because the membrane model computes it. The `current`
-    one stays within a step: pressure noise makes no new estimator."""
+    first measured, in steps of 2 % if the valve was open, or the gas leaked or became warmer.
+    Compression of sealed gas by a touch is not included, because the membrane model computes it.
+    The `current` one stays within a step: pressure noise makes no new estimator."""
     first = reference.first.gas.gauge_pressure
     rest = reference.rest
     now = rest.gauge_pressure if math.isfinite(rest.gauge_pressure) else rest.gas.gauge_pressure

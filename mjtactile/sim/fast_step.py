@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 
 NO_ITERATION = 1e10
-"""Tolerance with which the first solve is over before it begins."""
+"""Tolerance with which the first solve ends at once."""
 _UNKNOWN = ~int(
     mujoco.mjtEnableBit.mjENBL_OVERRIDE
     | mujoco.mjtEnableBit.mjENBL_ENERGY

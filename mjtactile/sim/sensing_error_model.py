@@ -71,7 +71,7 @@ class SensingErrorModel:
 
     @cached_property
     def at_loads(self) -> Array:
-        """(k, 30) All that goes with the load, in the order of `ErrorsAtLoad`."""
+        """Load-dependent errors (k, 30), in the order of `ErrorsAtLoad`."""
         return np.column_stack([getattr(self, name) for name in ErrorsAtLoad._fields])
 
     def at(self, load: float) -> ErrorsAtLoad:

@@ -1,7 +1,7 @@
 """MuJoCo Studio in the browser for the local computer only.
 
 Here MuJoCo's server is bound to loopback and answers only its own pages. Unmodified, it binds every
-interface and has no option for it. It also lets any open web page of the user read the model and
+interface and has no option for it. Any open web page of the user can then also read the model and
 send messages. There is no option against that either.
 """
 

@@ -143,7 +143,7 @@ class SessionBridge(Observer):
             )
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
-        """Show a cycle, and keep to the clock. Raises Restart when another run was asked for."""
+        """Show a cycle, and keep to the clock. Raises Restart when another run was requested."""
         number = 0 if self.latest is None else self.latest.number + 1
         snapshot = snapshot_of(cycle, self.session, view, truth, self._gas, number)
         self.history.add(snapshot)
@@ -210,7 +210,7 @@ class SessionBridge(Observer):
     def _try(self, task: Task, session: Session) -> None:
         try:
             task(session)
-        except Exception as error:  # noqa: BLE001  # the run goes on; the panel says it
+        except Exception as error:  # noqa: BLE001  # the run continues; the panel shows it
             self.message(f"{type(error).__name__}: {error}")
 
     def _leave(self) -> None:

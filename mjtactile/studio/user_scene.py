@@ -105,7 +105,7 @@ class Sensors(plugin.SimPlugin):
     @messages.handler(priority=messages.Priority.USER)
     @guarded
     def on_load_model(self, event: messages.LoadModelEvent) -> bool:
-        """Load it, attach the sensors, and let them take their references."""
+        """Load it, attach the sensors and take their references."""
         if not event.path:
             return False
         spec = mujoco.MjSpec.from_file(event.path)

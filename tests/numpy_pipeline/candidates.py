@@ -102,7 +102,7 @@ def implausible(
         # a border as large as the others' but of another outline is a marker with glare or dirt on
         # it, to be flagged
         size = np.sqrt(a * b)
-        alike = np.abs(np.log(size / ellipse.middle(size[fits]))) < s.size_log_tolerance
+        alike = np.abs(np.log(size / ellipse.upper_median(size[fits]))) < s.size_log_tolerance
         reason[
             alike & (b > s.min_flawed_axes * a) & (found.misfit < s.max_flawed_misfit * size)
         ] = ""
@@ -144,14 +144,14 @@ def validate_fits(
     status[(contrast < s.min_contrast * noise) | (shape_sd > s.max_shape_sd)] = LOW_CONTRAST
     status[fit.residual > s.max_residual * contrast] = NOT_ELLIPSE
     # of this image: its noise, its compression
-    usual = ellipse.middle(fit.residual) if len(b) else 0.0
+    usual = ellipse.upper_median(fit.residual) if len(b) else 0.0
     covered = (
         fit.residual > np.maximum(s.covered_fraction * contrast, s.covered_residuals * usual)
     ) & (b > s.profile_min_radius)
     status[(fit.lost > s.max_lost_weight) | covered] = GLARE
     status[fit.motion > s.min_motion] = MOTION
     # blur is the image's, and its scatter from marker to marker mostly the fit's
-    common = ellipse.middle(fit.blur[good]) if (good := status == "ok").any() else 0.0
+    common = ellipse.upper_median(fit.blur[good]) if (good := status == "ok").any() else 0.0
     status[b < s.min_blurs * np.clip(fit.blur, common / s.blur_spread, common * s.blur_spread)] = (
         BLURRED
     )

@@ -25,7 +25,7 @@ from scipy.special import ndtr
 from mjtactile.core.types import Array
 from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.image.edge_fit import SOFTEN, SOFTEN_VARIANCE, EdgeFit
-from mjtactile.sensing.image.ellipse import middle
+from mjtactile.sensing.image.ellipse import upper_median
 from mjtactile.sensing.settings import DEFAULTS, ProfileSettings
 from tests.numpy_pipeline.ellipse import covariance_of_moves
 
@@ -113,7 +113,7 @@ def fit(
     source = cv2.sepFilter2D(image, cv2.CV_32F, SOFTEN, SOFTEN, borderType=cv2.BORDER_REPLICATE)
     center, shape, sigma = _approach(source, center, shape, s)
     step = s.step * max(1.0, sigma / s.start_blur)
-    fan = _fan(int(np.clip(8 * np.ceil(middle(_perimeter(shape)) / s.spacing / 8), 32, 160)))
+    fan = _fan(int(np.clip(8 * np.ceil(upper_median(_perimeter(shape)) / s.spacing / 8), 32, 160)))
     line = _outline(shape, fan)
     numbers = _read(source, center, shape, line, fan, step, sigma)
     inside, outside, spread = _levels(numbers, fan, s.level_outlier)
@@ -122,7 +122,7 @@ def fit(
     delta = (numbers[EDGE] - sums[EDGE] * outside) * over - rest[0]
     blur = (numbers[BLUR] - sums[BLUR] * outside) * over + (sigma - rest[1])
     blur = np.maximum(blur, 0.5)
-    delta *= 1 / _gain(step, sigma, middle(blur[:, ::4]))
+    delta *= 1 / _gain(step, sigma, upper_median(blur[:, ::4]))
     blur, retreat, motion = _retreat(blur, line, s.max_blur_variance)
     delta = np.minimum(np.maximum(delta, -2), 2) + retreat
     center, shape, inverse, weight, left = _settle(center, shape, delta, line, fan, s)
@@ -170,7 +170,7 @@ def _retreat(blur: NDArray, line: _Outline, maximum: float) -> tuple[Array, NDAr
     """
     some = blur[:, ::4]  # enough for three numbers
     variance = some * some
-    bound = np.minimum(variance, maximum * middle(variance))
+    bound = np.minimum(variance, maximum * upper_median(variance))
     mx, my = line.m
     mxx = mx * mx
     mxy = 2 * mx * my
@@ -204,7 +204,7 @@ def _common_blur(numbers: NDArray, over: NDArray, delta: NDArray, step: float, f
     # the weights' own sum is zero: the outside level drops out
     second = numbers[SECOND] * over - _STEP_MOMENT
     # 1/6: reduction of the second moment of a smooth step by sampling, in samples squared
-    squared = (middle((2 * second - delta * delta) @ fan.mean) + 1 / 6) * step * step
+    squared = (upper_median((2 * second - delta * delta) @ fan.mean) + 1 / 6) * step * step
     return min(max(squared, 0.75**2), 4.0**2) ** 0.5
 
 

@@ -1,4 +1,4 @@
-"""`Command`, and the contract of each of its fields: all that other modules know of them.
+"""`Command`, and the contract of each of its fields.
 
 The metadata of a field has its unit, meaning, column in recordings, and the names of its limits.
 `COMMAND_FIELDS` collects them. Columns of the log and their validation, reading of recordings,

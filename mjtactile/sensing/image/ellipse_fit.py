@@ -47,7 +47,7 @@ def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Se
     sharpest = fit.blur < 1.01 * settings.profiles.sharpest
     if sharpest.any():
         start = found.take(sharpest)
-        wide = s.start_blur_fraction * float(ellipse.middle(radius[sharpest]))
+        wide = s.start_blur_fraction * float(ellipse.upper_median(radius[sharpest]))
         again = edge_fit.fit(grey, start.center, start.shape, blur=wide, s=settings.edges)
         settled = again.residual < edge_fit.UNSETTLED
         sharpest[sharpest] = settled

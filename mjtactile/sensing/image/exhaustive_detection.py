@@ -204,7 +204,7 @@ def _second_try(
     if keep.all():
         return fit
     good = status == "ok"
-    blur = ellipse.middle(fit.blur[good]) if good.any() else 0.0
+    blur = ellipse.upper_median(fit.blur[good]) if good.any() else 0.0
     s = settings.exhaustive_detection
     if blur < s.retry_blur:
         grey = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), s.retry_blur)

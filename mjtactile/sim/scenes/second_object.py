@@ -1,4 +1,4 @@
-"""`SecondObject`: a cube that is put on the held object during a task.
+"""`SecondObject`: a cube that is placed on the held object during a task.
 
 Until then it floats above the gripper, without contact. Its weight increases while it is lowered.
 """
@@ -85,7 +85,7 @@ class SecondObject:
 
     @property
     def has_fallen(self) -> bool:
-        """True if it was put on the held object and is now below the center of it."""
+        """True if it was placed on the held object and is now below its center."""
         model, data = self._model, self._data
         mass = model.body_mass[self._below]
         height = float(mass @ data.xipos[self._below, 2] / mass.sum())

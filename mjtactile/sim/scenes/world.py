@@ -109,7 +109,7 @@ class World:
             count -= self._advance(count)
 
     def _advance(self, count: int) -> int:
-        """Run up to `count` steps in one kernel call if possible, else one; return how many."""
+        """Run up to `count` steps in one kernel call if possible, else one. Return their number."""
         batches = self._batches
         if batches is None or self._after_step or not batches.is_ready():
             self.batch_forces = None

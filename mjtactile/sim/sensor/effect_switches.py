@@ -211,7 +211,7 @@ class FixedLoad:
 
 
 class FixedGas(ChamberGas):
-    """Gas model when "gas" is off: the closed valve keeps the pressure, whatever the volume."""
+    """Gas model when "gas" is off: the closed valve keeps the pressure at any volume."""
 
     def advance(self, volume: float, elapsed: float) -> None:
         if self.is_open:

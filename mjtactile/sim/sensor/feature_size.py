@@ -35,7 +35,7 @@ def touching_geoms(model: mujoco.MjModel, carrier: int = 0) -> NDArray[np.int64]
 
 
 def weld_bodies(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Return, for each MuJoCo body (nbody,), the one to which it is fixed."""
+    """Return the MuJoCo body to which each body is fixed (nbody,)."""
     return np.array([_weld(model, body) for body in range(model.nbody)])
 
 

@@ -126,7 +126,7 @@ class Sleeper:
         self.asleep = True
 
     def wake(self) -> None:
-        """Restore the state before sleep; vertices that were moved meanwhile stay."""
+        """Restore the state before sleep; vertices moved in between stay."""
         model = self._model
         if np.abs(self._load.displacements - self._springs).max() <= 1e-6:
             self._load.displacements[:] = self._springs

@@ -86,7 +86,7 @@ def evaluate(
 def prepare_heights(
     membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int, p: float
 ) -> None:
-    """Add gas and springs to residual and links, and compute the room below the obstacles."""
+    """Add gas and springs to residual and links, and compute the gap below the obstacles."""
     ny = membrane.ny
     for k in range(lane, membrane.nx * ny, threads):
         i = k // ny

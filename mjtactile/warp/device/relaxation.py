@@ -141,7 +141,7 @@ def relax_heights(
 ) -> None:
     """Continue the `change` of heights, m, at a further gas pressure `dp`, Pa; write `force`.
 
-    `gap` is the room below the obstacles, `swell` the derivative of the volume by the heights.
+    `gap` is the space below the obstacles, `swell` the derivative of the volume by the heights.
     """
 
 
