@@ -231,7 +231,7 @@ class Calibration:
             raise InputError(message, source=source, field="lens.width_px")
 
     def table(self) -> dict[str, Any]:
-        """Write it out.
+        """Convert to a table.
 
         Returns:
             The table of a calibration file, and of a recording's header.

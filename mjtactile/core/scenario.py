@@ -175,7 +175,7 @@ class Scenario:
         return {finger: _name(sensor) for finger, sensor in self.sensors.items()}
 
     def to_dict(self) -> dict[str, Any]:
-        """Write it out.
+        """Convert to a dictionary.
 
         Returns:
             The scenario as files and results keep it. `mjtactile.load_scenario` reads it again.

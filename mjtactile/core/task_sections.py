@@ -235,7 +235,7 @@ class SuccessCriteria:
 
     @property
     def text(self) -> str:
-        """Return all criteria as a sentence, for reports."""
+        """Sentence with all criteria, for reports."""
         texts = ["held and intact", f"it falls by at most {1e3 * self.max_drop:g} mm at release"]
         if math.isfinite(self.max_tilt):
             texts.append(f"tilted by at most {math.degrees(self.max_tilt):g} deg at the end")

@@ -188,7 +188,7 @@ class SessionBridge(Observer):
             self._manual.manual_goal = manual_goal
 
     def halt(self) -> None:
-        """Execute the red button: the supervisor lowers and opens the gripper."""
+        """Start the retreat, as the red button requests."""
         self._halted = True
         self.paused = False
         if self.session is not None:

@@ -174,7 +174,7 @@ def _require_ball(model: mujoco.MjModel, geom: int, spacing: float) -> None:
 
 
 def _address(model: mujoco.MjModel, name: str) -> int:
-    """Return the place of a sensor's values in `sensordata`, -1 if the model has no such sensor."""
+    """Return the index of a sensor's values in `sensordata`, -1 if the model has no such sensor."""
     found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     return int(model.sensor_adr[found]) if found >= 0 else -1
 

@@ -428,8 +428,8 @@ def _observed_drift(gas: Array, camera: Array) -> Array:
 
 
 def _innovation(half: Array, drift: Array) -> Array:
-    """Lower factor (r, r) of the whitened markers' covariance, as tractions, drift and their own
-    noise predict it."""
+    """Return the lower factor (r, r) of the whitened markers' covariance, predicted from tractions,
+    drift and marker noise."""
     cov = half @ half.T + drift @ drift.T
     cov.flat[:: len(cov) + 1] += 1.0
     return np.linalg.cholesky(cov)

@@ -157,7 +157,7 @@ def detect_circles(
 
 
 def _check_options(neighbours: str, gamma: object) -> None:
-    """Raise InputError for an option that is none."""
+    """Raise InputError for an invalid option."""
     if neighbours not in ("auto", "always", "never"):
         raise InputError(
             f"{neighbours!r}",

@@ -170,7 +170,7 @@ def _motion(skin: _Skin, centers: Array, size_px: Array) -> Array:
 
 
 def _unmatched(skin: _Skin, centers: Array, moved: Array, size_px: Array) -> int:
-    """Count the tracks and places without a partner, away from the image border."""
+    """Count the tracks and positions without a partner, away from the image border."""
     expected = skin.positions + moved
     distance = np.linalg.norm(expected[:, None] - centers[None], axis=2)
     alone = [distance.min(axis=1), distance.min(axis=0)]

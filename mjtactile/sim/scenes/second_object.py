@@ -61,7 +61,7 @@ class SecondObject:
         self._is_put = False
 
     def put(self, done: float) -> None:
-        """Lower it onto the held object. `done` is the fraction of its weight that it has."""
+        """Lower the cube onto the held object. `done` is the fraction of its weight that acts."""
         data = self._data
         if not self._is_put:
             self._is_put = True

@@ -59,7 +59,7 @@ class StandOff:
         self._kernel = bound("touched_curvatures", ..., ..., ..., *vertices, *geoms, END, ...)
 
     def update(self) -> None:
-        """Follow the contacts of the last step; call every step, it works every 10 ms."""
+        """Update the margins from the last contacts. Call it every step; it acts every 10 ms."""
         time = float(self._data.time)
         elapsed = time - self._time
         if 0 <= elapsed < _EVERY:

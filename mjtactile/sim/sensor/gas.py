@@ -185,7 +185,7 @@ class ChamberGas:
         self._ways = (*leak, valve) if self._is_open and not self._has_ideal_valve else (*leak,)
 
     def _fill(self) -> None:
-        """Start to count the gas, if it was not counted yet."""
+        """Compute the amount of gas, if it is unknown."""
         if math.isnan(self._amount):
             self._amount = self._pressure * self._volume / self._temperature
 
