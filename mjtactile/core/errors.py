@@ -62,7 +62,7 @@ class InputError(MjtactileError):
 
 
 def _shortened(text: str) -> str:
-    """Return a message in one line, without the middle of a value of thousands of characters."""
+    """Return a message in one line. The central part of a very long value is omitted."""
     if "\n" in text:  # such as that of an array
         text = " ".join(text.split())
     if len(text) <= _LONGEST:

@@ -144,7 +144,7 @@ class Recorder(Observer):
             row = make_row(cycle, [name for name, _ in images], truth)
             if self.cycles == 0 and view is not None:
                 self.note(mounting=Mounting.of_view(view, row).note())
-        except Exception as error:  # noqa: BLE001  # whatever a controller put into its notebook
+        except Exception as error:  # noqa: BLE001  # any value that a controller stored in its memory
             self._stop_recording(error)
             return
         self._enqueue(row, images)
@@ -288,7 +288,7 @@ class Recorder(Observer):
                 self._file.write(json.dumps(to_json(line), allow_nan=False) + "\n")
                 self._file.flush()
             except Exception as error:  # noqa: BLE001
-                # a full disk, a removed folder, a notebook that contains itself
+                # a full disk, a removed folder, a memory that contains itself
                 self._stop_recording(error)
         with contextlib.suppress(OSError):  # buffered data that could not be written
             self._file.close()

@@ -49,8 +49,8 @@ class Valve(Protocol):
     """The valve of one chamber."""
 
     def state(self) -> ValveState:
-        """Return whether it is open, and the pressure, with the time of measurement on the rig's
-        clock and its age."""
+        """Return valve state and pressure, with the time of measurement on the rig's clock and its
+        age."""
         ...
 
     def open(self, supply_gauge: float) -> None:

@@ -35,7 +35,7 @@ class ManualGoal:
     force: float = math.nan
 
     def command(self, observation: Observation) -> Command:
-        """Return one cycle's step to the goal, with the phase and notebook of the controller."""
+        """Return one cycle's step to the goal, with the phase and memory of the controller."""
         last = observation.command
         period = observation.period
         return replace(

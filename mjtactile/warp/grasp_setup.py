@@ -50,7 +50,7 @@ def require_supported(scenario: Scenario, rig: Rig) -> None:
 
 
 def drive_of(rig: Rig, m: Any, worlds: int) -> Any:
-    """Return the drive of the rig, with force limits of each world's own."""
+    """Return the drive of the rig, with separate force limits for each world."""
     world = rig.scene
     linear = world.linear_drive
     model = world.model

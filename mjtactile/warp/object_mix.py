@@ -165,7 +165,7 @@ def objects_of(
 
 
 def _meshes(model: mujoco.MjModel, mix: Sequence[MixedObject], found: Sequence[Any]) -> Array:
-    """Return the number (K, geoms) of each mesh in the scene's model, or -1."""
+    """Return the index (K, geoms) of each mesh in the scene's model, or -1."""
     mesh_ids = np.full((len(mix), len(found[0])), -1, np.int32)
     for k, (item, row) in enumerate(zip(mix, found, strict=True)):
         for g, geom in enumerate(row):

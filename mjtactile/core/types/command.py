@@ -22,7 +22,7 @@ Phase = Literal[
 ]
 PHASES: tuple[str, ...] = get_args(Phase)
 MEMORY_MAX = 100_000
-"""Entries of a controller's notebook, which is copied in every cycle."""
+"""Entries of a controller's memory, which is copied in every cycle."""
 # Maximum pressure change between two images, Pa (the sensing pipeline treats 60 as a valve jump)
 PRESSURE_STEP = 45.0
 UNCHANGED = "unchanged"

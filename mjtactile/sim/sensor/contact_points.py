@@ -185,7 +185,7 @@ class ContactPoints:
         return touching
 
     def _contact_vertices(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """Return vertex numbers (n, 2) of MuJoCo's contacts, and where they are this sensor's."""
+        """Return vertex indices (n, 2) of MuJoCo's contacts, and a mask of those of this sensor."""
         vertices = self._data.contact.geom - self._first
         return vertices, (vertices >= 0) & (vertices < len(self._sizes))
 

@@ -64,7 +64,7 @@ def feature_radius(model: mujoco.MjModel, geom: int) -> float:
 
 
 def name_of(model: mujoco.MjModel, geom: int) -> str:
-    """Return the name of a geom, or its number and body."""
+    """Return the name of a geom, or its id and body."""
     body = model.body(int(model.geom_bodyid[geom])).name
     return model.geom(geom).name or f"geom {geom}{f' of {body}' if body else ''}"
 

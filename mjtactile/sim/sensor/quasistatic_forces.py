@@ -36,7 +36,7 @@ class QuasistaticForces:
         self._add = None
 
     def join(self, owner: str, count: int) -> int:
-        """Return the row number of `owner`, whose membrane may touch `count` bodies.
+        """Return the row index of `owner`, whose membrane may touch `count` bodies.
 
         A known owner gets its previous row, set to zero.
         """
