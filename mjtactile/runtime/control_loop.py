@@ -26,7 +26,7 @@ from mjtactile.runtime.retreat import may_hold
 from mjtactile.runtime.set_down import ENDS, HEIGHT_TOLERANCE
 from mjtactile.runtime.supervisor import Supervisor
 
-# 0.2 s of 0.25 s, so that the devices never take the loop for dead
+# 0.2 s of 0.25 s, so that the devices never treat the loop as stopped
 _STEP_FRACTION = 0.8
 _IN_THE_AIR = 5e-3  # maximum measured height above the commanded one for a lowered gripper, m
 

@@ -22,7 +22,7 @@ from mjtactile.runtime.supervisor import Supervisor
 # Timeout of perception and controller in a world that waits, s; on a real rig it is a fraction of
 # host_timeout
 WAIT_TIME = 10.0
-# 0.1 s of 0.25 s, so that the devices never take the loop for dead
+# 0.1 s of 0.25 s, so that the devices never treat the loop as stopped
 _PERCEPTION_FRACTION = 0.4
 _UNKNOWN_GRIPPER = GripperState(math.nan, math.nan, math.nan, math.nan)
 

@@ -26,7 +26,7 @@ from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.wide_face import WideFaceTest, has_changed
 
 _SAME_TIME = 0.1  # maximum time between an image and a reading that are compared, s
-_NOISE_SD = 3.0  # standard deviations of a reading that contradict nothing
+_NOISE_SD = 3.0  # deviation of a reading without a contradiction, standard deviations
 _SET_ASIDE_FRACTION = 0.03  # maximum fraction of the markers, and at least one: more are not dirt
 
 

@@ -40,7 +40,7 @@ def camera_modes(design: SensorDesign, p_SM: Array, darker: Array, s: InverseSet
     modes[:, :, :3] = s.displaced_shift * np.eye(3)
     modes[:, :, 3:6] = s.displaced_rotation * np.cross(np.eye(3), away[:, None]).transpose(0, 2, 1)
     modes[:, 2, 6] = -s.drift_zoom * depth[:, 0]
-    # depth goes with one over the size, and along the ray
+    # depth is proportional to one over the size, and changes along the ray
     radius_px = design.camera.fx * design.markers.radius / depth
     grown = -away / radius_px
     modes[:, :, 7] = s.drift_size * grown

@@ -25,7 +25,7 @@ from mjtactile.sensing.force.stress_relaxation import RelaxingMembrane
 from mjtactile.sensing.settings import DEFAULTS, InverseSettings, ReferenceSettings, Settings
 
 _GAS_NEAR = 3.0  # pressure difference for which the rest shape is kept, Pa
-_REST_STEPS = 6  # the bulge goes with the stiffness to a power between -1 and -1/3
+_REST_STEPS = 6  # the bulge scales with the stiffness to a power between -1 and -1/3
 
 
 @dataclass(frozen=True, eq=False)

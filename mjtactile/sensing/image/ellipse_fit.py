@@ -41,9 +41,9 @@ def _by_profiles(grey: NDArray, found: Candidates, radius: NDArray, settings: Se
     pixels if the blur turns out too large for profiles."""
     s = settings.markers
     fit = fit_profiles(grey, found.center, found.shape, settings.profiles)
-    # fits by pixels know of no motion
+    # fits by pixels have no model of motion
     blurred = (fit.blur * s.profile_min_blurs > radius) & (fit.motion < s.min_motion)
-    # a drawing, or a blur that was taken for size
+    # a drawing, or a blur that was mistaken for size
     sharpest = fit.blur < 1.01 * settings.profiles.sharpest
     if sharpest.any():
         start = found.take(sharpest)

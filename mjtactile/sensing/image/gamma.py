@@ -126,7 +126,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         variance = pixels.sums(weight * residual**2) / np.maximum(
             pixels.sums(weight) - edge_fit.PARAMETERS, 1
         )
-        known = information > 0  # rounding may leave nothing where a fit is degenerate
+        known = information > 0  # rounding may give zero or less where a fit is degenerate
         single = np.divide(pull, information, out=np.zeros(len(theta)), where=known)
         sd = np.full(len(theta), np.inf)
         np.sqrt(np.divide(variance, information, out=sd, where=known), out=sd)

@@ -30,7 +30,7 @@ from mjtactile.sensing.settings import DEFAULTS, PatchSettings, as_numbers
 _AREA_ABOVE = 1.8
 _AREA_LOAD = 2.6e-3  # force over gauge pressure from which the area is the lower end, m^2
 _AREA_POWER = 0.34
-# The same of a flat contact, relative: the standard deviation of its estimated force
+# relative ends for a flat contact: the standard deviation of its estimated force
 _FLAT = (0.9, 1.1)
 _ANY_DISC = 1e3  # m^2; the smaller estimate dominates, so that the area follows from the force
 
