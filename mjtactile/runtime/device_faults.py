@@ -11,7 +11,8 @@ from mjtactile.runtime.set_down import ENDS
 if TYPE_CHECKING:
     from mjtactile.runtime.cycle import Cycle
 
-# maximum time between two cycles, s; without a message for longer, devices treat the host as stopped
+# maximum time between two cycles, s; after this time without a message, devices treat the host
+# as stopped
 _GAP_MAX = 0.25
 _BLIND = (StatusCode.NO_IMAGE, StatusCode.PERCEPTION_TIMEOUT)
 
