@@ -56,7 +56,7 @@ class NewestFrame:
         return image
 
     def close(self):
-        """Called on every way out."""
+        """Stop the thread and close the stream; called on every exit."""
         self._closed.set()
         self._thread.join(1.0)
         self._capture.release()

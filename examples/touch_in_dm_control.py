@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
 """Touch as an observable of dm_control's composer: a weight comes to rest on a fingertip.
 
-Tried with dm_control 1.0.50 (docs/how-to/integrations.md).
+Tested with dm_control 1.0.50 (docs/how-to/integrations.md).
 """
 
 import mujoco
@@ -60,5 +60,5 @@ task = composer.NullTask(arena)
 task.set_timesteps(control_timestep=0.04, physics_timestep=0.004)
 env = composer.Environment(task, legacy_step=False)  # each step a whole mj_step
 for _ in range(25):
-    seen = env.step(np.zeros(0)).observation
-print(f"estimated {seen['touch/force_normal'][0]:.2f} N of {9.81 * 0.05:.2f} N")
+    observation = env.step(np.zeros(0)).observation
+print(f"estimated {observation['touch/force_normal'][0]:.2f} N of {9.81 * 0.05:.2f} N")

@@ -50,13 +50,16 @@ class TouchLift(Lift):
 
 
 env = TouchLift("Panda", has_offscreen_renderer=False, use_camera_obs=False, lite_physics=False)
-seen = env.reset()
+observation = env.reset()
 close = lift = 0.0
 while lift < 0.1:
-    way = seen["cube_pos"] - seen["robot0_eef_pos"] + [0, 0, 0.012]
+    way = observation["cube_pos"] - observation["robot0_eef_pos"] + [0, 0, 0.012]
     way[2] += lift + 2 * np.hypot(*way[:2])  # down as it comes over the cube
     close = close or float(np.linalg.norm(way) < 4e-3)
-    grip = close * float(seen["force_normal"].mean() < 1.0)
+    grip = close * float(observation["force_normal"].mean() < 1.0)
     lift += 0.01 * (close - grip)
-    seen, *_ = env.step([*np.clip(15 * way, -1, 1), 0, 0, 0, grip if close else -1])
-print(f"estimated {seen['force_normal'].round(2)} N, the cube is at {seen['cube_pos'][2]:.3f} m")
+    observation, *_ = env.step([*np.clip(15 * way, -1, 1), 0, 0, 0, grip if close else -1])
+print(
+    f"estimated {observation['force_normal'].round(2)} N, "
+    f"the cube is at {observation['cube_pos'][2]:.3f} m"
+)

@@ -1,4 +1,4 @@
-"""Touch in MuJoCo Studio, with a model of yours; name your sites below.
+"""Touch in MuJoCo Studio, with your own model; name its sites below.
 
 python -m mujoco.studio.viewer --gfx web --model my_robot.xml --plugins examples/touch_in_studio.py
 """
@@ -7,14 +7,14 @@ import mjtactile.studio
 
 
 class Tips(mjtactile.studio.Sensors):
-    """The sensors, and who steps them."""
+    """Sensors in the scene, and the source of its steps."""
 
     # of your model, and the sensor that is put there: a shipped name or a file
     sites = {"fingertip": "dense"}
 
 
 class TipsPanel(mjtactile.studio.Panel):
-    """The windows: images, forces, contacts."""
+    """Windows with images, forces and contacts."""
 
     def __init__(self):
         super().__init__(Tips.fingers)

@@ -30,28 +30,28 @@ ROOMS = {
     "fabrication": "drawings, CAD",
     "calibrate": "measured once",
     "plugin": "your own scene",
-    "doctor": "what is wrong",
+    "doctor": "checks of a rig",
     "fit": "to recordings",
     "export": "LeRobot, MCAP",
-    "report": "pictures and pages of a run",
+    "report": "images and pages of a run",
     "runtime": "control loop, supervisor, grasp, probe",
-    "emulator": "devices on the wire, without devices",
+    "emulator": "emulated devices on ports",
     "replay": "a recording as a rig",
     "sim": "the MuJoCo backend",
     "devices": "drivers: camera, servos, valve",
     "sensing": "pixels to touch",
-    "types": "what a controller sees",
+    "types": "inputs of a controller",
     "rig": "Protocols: fingers, gripper, lift",
     "recording": "written, and read again",
-    "quasistatic": "a sheet over its gas, on bodies: quick and coarse",
-    "grasp_estimation": "what a held thing weighs, and how rough it is",
+    "quasistatic": "a membrane over gas, on obstacles",
+    "grasp_estimation": "weight and friction of a held object",
     "kernels": "loops in C",
     "core": "values, errors, geometry, optics, sensor designs",
 }
 """Short descriptions of the package's rooms; an unlisted room has no line."""
 
 INSIDE = ("Sensing layers", "Simulation layers", "Core layers")
-"""Contracts of the rooms whose own order is drawn at the side."""
+"""Contracts of the rooms whose own order is shown at the side."""
 
 COLOURS = {
     "cli commands studio": "#fde8cf",
@@ -100,13 +100,13 @@ def floors(layers: list[str]) -> list[Floor]:
 
 
 def render(pyproject: str) -> str:
-    """Draw the contracts.
+    """Render the contracts as SVG.
 
     Args:
         pyproject: The text of pyproject.toml.
 
     Returns:
-        The picture as SVG.
+        The figure as SVG text.
     """
     contracts = tomllib.loads(pyproject)["tool"]["importlinter"]["contracts"]
     layered = {contract["name"]: contract for contract in contracts if "layers" in contract}
@@ -140,7 +140,10 @@ def render(pyproject: str) -> str:
 
 
 def _importers(contracts: list[dict], package: str) -> set[str]:
-    """The rooms that may import an outside package, by the contract that forbids it to others."""
+    """Return the rooms that may import an outside package.
+
+    The contract forbids it to all others.
+    """
     (contract,) = [
         contract
         for contract in contracts
@@ -152,7 +155,7 @@ def _importers(contracts: list[dict], package: str) -> set[str]:
 def _row(
     floor: Floor, x: float, y: float, width: float, height: float, tagged: set[str]
 ) -> list[str]:
-    """One floor of the house: a box a room, joined where the rooms may import each other."""
+    """Render one floor: one box per room, joined if the rooms may import each other."""
     gap = GAP if floor.is_separate else 0
     each = (width - gap * (len(floor.rooms) - 1)) / len(floor.rooms)
     parts = []
@@ -170,7 +173,7 @@ def _row(
 
 
 def _panel(contract: dict, x: float, y: float) -> tuple[list[str], float]:
-    """The order inside of one room, and how high the panel is."""
+    """Render the order inside one room; return also the height of the panel."""
     (container,) = contract["containers"]
     room = container.removeprefix("mjtactile.")
     parts = []
@@ -189,7 +192,7 @@ def _panel(contract: dict, x: float, y: float) -> tuple[list[str], float]:
 
 
 def _lines(floor: Floor, longest: int = 52) -> list[str]:
-    """The names of a floor as one line, or as several that fit the panel."""
+    """Return the names of a floor as one line, or as several that fit the panel."""
     separator = "   |   " if floor.is_separate else "    "
     lines = [""]
     for room in floor.rooms:

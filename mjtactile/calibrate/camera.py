@@ -52,7 +52,7 @@ class Board:
     dictionary: str = "4X4_50"
 
     def make(self) -> Any:
-        """OpenCV's board. Raises InputError for one that cannot be."""
+        """Return OpenCV's board. Raises InputError for an impossible one."""
         names = sorted(
             name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_")
         )
@@ -80,7 +80,7 @@ class Board:
         )
 
     def render(self, pixels_per_square: int = 120) -> NDArray[np.uint8]:
-        """The board as an image to print, with a quiet zone of half a square."""
+        """Render the board as an image to print, with a quiet zone of half a square."""
         size = (self.columns + 1) * pixels_per_square, (self.rows + 1) * pixels_per_square
         return self.make().generateImage(size, marginSize=pixels_per_square // 2)
 
@@ -119,7 +119,7 @@ class BoardFinder:
         )
 
     def corners(self, view: BoardView) -> Array:
-        """The view's corners (N, 3) m on the board."""
+        """Return the positions (N, 3), m, of the view's corners on the board."""
         return np.asarray(self.board.getChessboardCorners(), dtype=float)[view.ids]
 
 
@@ -190,7 +190,7 @@ def calibrate_camera(
 
 
 def _refusals(c: CameraCalibration) -> list[str]:
-    """Why it should not be used; empty for a good one."""
+    """Return the reasons to refuse a calibration; empty for a good one."""
     focal_sd = float(np.max(c.sd[:2] / np.diag(c.K)[:2]))
     tilted = int(np.sum(c.tilts > TILT_MIN_DEG))
     checks = {
@@ -227,7 +227,7 @@ def _refusals(c: CameraCalibration) -> list[str]:
 
 
 def _tilt(rotation: Array) -> float:
-    """Angle between the board's normal and the camera's axis, deg."""
+    """Return the angle between the board's normal and the camera's axis, deg."""
     return float(np.degrees(np.arccos(np.clip(abs(cv2.Rodrigues(rotation)[0][2, 2]), 0, 1))))
 
 
@@ -260,8 +260,8 @@ def _holdout(
         fit = fit_intrinsics(_points(finder, inside), size, options)
         for view in outside:
             corners = finder.corners(view)
-            seen = fit.project(corners, *fit.pose_of(corners, view.uv))
-            squares.append(np.sum((seen - view.uv) ** 2, axis=1))
+            projected = fit.project(corners, *fit.pose_of(corners, view.uv))
+            squares.append(np.sum((projected - view.uv) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 

@@ -41,7 +41,7 @@ _PLAIN = 4.0  # minimum distance of k3 from zero, sd; an unneeded k3 distorts th
 
 @dataclass(frozen=True)
 class CircleFinder:
-    """Finds the circles of a board with `pitch` m between them and `radius` m."""
+    """Detector of the circles of a board: distance `pitch`, m, and `radius`, m."""
 
     pitch: float
     radius: float
@@ -71,7 +71,7 @@ class CircleFinder:
         return None
 
     def corners(self, view: BoardView) -> Array:
-        """The view's circles' centres (N, 3) m on the board."""
+        """Return the centers (N, 3), m, of the view's circles on the board."""
         i, j = np.divmod(view.ids, 2 * _HALF)
         return self.pitch * np.stack([i - _HALF, j - _HALF, np.zeros(len(i))], axis=1).astype(float)
 
@@ -86,9 +86,9 @@ class CircleFinder:
         rim = centres[:, None] + self.radius * np.stack(
             [np.cos(t), np.sin(t), np.zeros(_RIM)], axis=1
         )
-        seen = fit.project(rim.reshape(-1, 3), *pose).reshape(-1, _RIM, 2)
-        middle = fit.project(centres, *pose)
-        return replace(view, uv=view.uv - (_centroid(seen) - middle))
+        rims = fit.project(rim.reshape(-1, 3), *pose).reshape(-1, _RIM, 2)
+        centers = fit.project(centres, *pose)
+        return replace(view, uv=view.uv - (_centroid(rims) - centers))
 
 
 def calibrate_from_circles(
@@ -130,8 +130,10 @@ def number_grid(uv: Array) -> dict[int, tuple[int, int]]:
 
 
 def _connected(uv: Array, tree: KDTree, seed: int) -> dict[int, tuple[int, int]]:
-    """From neighbour to neighbour, each step being expected to be as the last one in that direction
-    was."""
+    """Return the grid indices of the points that are connected to a seed point.
+
+    From neighbor to neighbor, each step is predicted from the last one in that direction.
+    """
     basis = _basis(uv, tree, seed)
     if basis is None:
         return {}
@@ -162,7 +164,10 @@ def _connected(uv: Array, tree: KDTree, seed: int) -> dict[int, tuple[int, int]]
 
 
 def _basis(uv: Array, tree: KDTree, seed: int) -> Array | None:
-    """Steps (2, 2) px to the nearest neighbour and to the nearest in quite another direction."""
+    """Return the steps (2, 2), px, to the nearest neighbor and to the nearest across it.
+
+    The sine of the angle between the two steps exceeds 0.5. None: no such neighbor.
+    """
     near = np.atleast_1d(tree.query(uv[seed], min(9, len(uv)))[1])
     steps = uv[near[1:]] - uv[seed]
     length = np.linalg.norm(steps, axis=1)
@@ -177,7 +182,7 @@ def _ids(grid_positions: dict[int, tuple[int, int]]) -> NDArray[np.int32]:
 
 
 def _centroid(polygon: Array) -> Array:
-    """Centroids (N, 2) of the areas of closed polygons (N, K, 2)."""
+    """Return the centroids (N, 2) of the areas of closed polygons (N, K, 2)."""
     origin = polygon.mean(axis=1, keepdims=True)
     x, y = np.moveaxis(polygon - origin, -1, 0)
     x2 = np.roll(x, -1, axis=1)

@@ -1,4 +1,4 @@
-"""The devices of a rig, each opened for a calibration and closed after it."""
+"""Connections to the devices of a rig for a calibration, closed at its end."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def live_rig(
 
 @contextlib.contextmanager
 def live_fingers(rig_file: RigFile, design: SensorDesign) -> Iterator[Rig]:
-    """All of the rig, with `design` on each finger that names no sensor file of its own."""
+    """Yield the connected rig, with `design` on each finger without its own sensor file."""
     with contextlib.closing(build_device_rig(rig_file, design, name=rig_file.name)) as rig:
         yield rig
 
 
 @contextlib.contextmanager
 def live_camera(rig_file: RigFile, finger: str) -> Iterator[OpenCvCamera]:
-    """The camera of a finger. Raises InputError when the rig has none."""
+    """Yield the connected camera of a finger. Raises InputError if the rig has none."""
     config = next((c for c in rig_file.cameras if c.finger == finger), None)
     if config is None:
         raise InputError(f"the rig has no {finger} camera", source=rig_file.path, field="--finger")
@@ -64,7 +64,7 @@ def live_gripper(rig_file: RigFile) -> Iterator[DynamixelGripper]:
 
 @contextlib.contextmanager
 def live_valves(rig_file: RigFile) -> Iterator[dict[str, BoardValve]]:
-    """Each finger's valve. Raises InputError when the rig has none."""
+    """Yield the connected valve of each finger. Raises InputError if the rig has none."""
     if not rig_file.valves:
         raise InputError("the rig has no valve", source=rig_file.path, field="valve")
     with contextlib.ExitStack() as stack:

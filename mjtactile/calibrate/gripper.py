@@ -60,8 +60,10 @@ class OpeningCalibration:
 
 @dataclass(frozen=True)
 class GripperForceCalibration:
-    """`factor` on the reported force and `offset` N (negative: friction) with standard deviations,
-    `rms` N left."""
+    """Force parameters: `factor` on the reported force and `offset`, N (negative: friction).
+
+    Both have standard deviations; `rms` is the residual, N.
+    """
 
     factor: float
     factor_sd: float
@@ -201,7 +203,7 @@ def servo_lines(
 def _servo_line(
     jaw: JawServo,
     count: int,
-    middle: float,
+    midpoint: float,
     opening: OpeningCalibration | None,
     force: GripperForceCalibration | None,
 ) -> dict[str, Any]:
@@ -215,9 +217,9 @@ def _servo_line(
         line["mm_per_rad"] = round(1e3 * per_rad, 4)
         line["zero_ticks"] = round(jaw.config.zero_ticks - shift * TICKS_PER_RAD)
     elif opening is not None:
-        part = (opening.offset + (opening.scale - 1) * middle) / count
+        part = (opening.offset + (opening.scale - 1) * midpoint) / count
         line["zero_ticks"] = round(
-            jaw.config.zero_ticks - part / jaw.slope(jaw.ticks(middle / count)) * TICKS_PER_RAD
+            jaw.config.zero_ticks - part / jaw.slope(jaw.ticks(midpoint / count)) * TICKS_PER_RAD
         )
     if force is not None:
         # force = torque over radius

@@ -161,8 +161,11 @@ def dropped_images(
 def measure_openings(
     gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, notify: Notify
 ) -> tuple[Array, list[str], Array]:
-    """Reach each opening (m) from both sides and ask for the caliper's reading: reported m,
-    directions, measured m."""
+    """Reach each opening, m, from both sides, and ask for the caliper's reading.
+
+    Returns:
+        Reported openings, m, directions, and measured openings, m.
+    """
     rows: list[tuple[float, str, float]] = []
     path = [
         *((o, "closing") for o in sorted(openings, reverse=True)),
@@ -235,7 +238,7 @@ def keepalive(*devices: Any) -> Iterator[None]:
 
 
 def _move(gripper: DynamixelGripper, opening: float, force: float) -> None:
-    """Go there slowly and rest."""
+    """Move slowly to an opening, m, and wait until the jaws are at rest."""
     at = gripper.state().opening
     while abs(opening - at) > 1e-9:
         at += float(np.clip(opening - at, -_SPEED * _PERIOD, _SPEED * _PERIOD))
@@ -276,10 +279,12 @@ def _squeeze(gripper: DynamixelGripper, force: float) -> None:
 def step_valve(
     valve: BoardValve, pressure: float, seal_time: float, notify: Notify
 ) -> tuple[Array, Array, list[str]]:
-    """Vent, open at `pressure` Pa, seal for `seal_time` s, vent: times s, gauge pressures Pa,
-    stages.
+    """Vent, open at `pressure` Pa, seal for `seal_time` s, and vent.
 
-    Raises InputError for a board without a pressure sensor, DeviceError when it does not obey.
+    Returns:
+        Times, s, gauge pressures, Pa, and stages.
+
+    Raises InputError for a board without a pressure sensor, DeviceError when it does not respond.
     """
     rows: list[tuple[float, float, str]] = []
     vent, rise, fall = _VALVE_STAGES

@@ -136,10 +136,10 @@ def _fit_fisheye(points: Points, size: tuple[int, int], options: LensFit) -> Int
     squares = []
     information = np.zeros((4 + count, 4 + count))
     for (corners, uv), rotation, shift in zip(points, rotations, shifts, strict=True):
-        seen, J = cv2.fisheye.projectPoints(
+        projected, J = cv2.fisheye.projectPoints(
             np.ascontiguousarray(corners[None], dtype=float), rotation, shift, K, k
         )
-        squares.append(((seen[0] - uv) ** 2).sum(axis=1))
+        squares.append(((projected[0] - uv) ** 2).sum(axis=1))
         kept_columns = J[:, : 4 + count]
         pose = J[:, 4 + count : 10 + count]
         left = kept_columns - pose @ np.linalg.lstsq(pose, kept_columns, rcond=None)[0]

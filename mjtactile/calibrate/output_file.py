@@ -35,7 +35,7 @@ class OutputFile:
         return calibration
 
     def write(self, kind: str, part: Part | None, reasons: Sequence[str]) -> None:
-        """Put the part into the file; where there are reasons to refuse it, only them."""
+        """Write the part to the file; for a refused part, only the reasons."""
         before = self.load()
         if part is None or reasons:
             after = before.with_refusal(kind, reasons)
@@ -68,7 +68,7 @@ def find_targets(
 
 
 def _fingers_of(finger: str | None, rig_file: RigFile) -> list[CameraConfig]:
-    """The fingers of the rig that are meant. Raises InputError when it has no such finger."""
+    """Return the selected fingers of the rig. Raises InputError if it has no such finger."""
     found = [camera for camera in rig_file.cameras if finger in (None, camera.finger)]
     if not found:
         raise InputError(

@@ -1,5 +1,7 @@
-"""`mjtactile detect-circles`: where each circular marker of an image is, with covariance. Needs no
-sensor and no simulator."""
+"""`mjtactile detect-circles`: position and covariance of each circular marker of an image.
+
+It needs no sensor and no simulator.
+"""
 
 from __future__ import annotations
 
@@ -153,8 +155,10 @@ def _public(frame: dict[str, Any]) -> dict[str, Any]:
 def _locate(
     frame: NamedImage, camera: Camera, options: argparse.Namespace, out: Path | None
 ) -> dict[str, Any]:
-    """One frame of the JSON, with its time `ms` for the table, and whether it was `usable` at
-    all."""
+    """Detect the circles of one frame, and return its row of the JSON.
+
+    The row also has the time `ms` for the table, and `usable`.
+    """
     if frame.pixels is None:
         return _without_markers(frame, "cannot be read")
     if mismatch := camera.size_mismatch(frame.pixels, "the camera file"):
@@ -207,7 +211,7 @@ def _without_markers(frame: NamedImage, status: str) -> dict[str, Any]:
 
 
 def _index(name: str) -> str:
-    """`_000012` for a frame of a video."""
+    """Return the suffix `_000012` for a frame of a video; "" for an image file."""
     return "_" + name.rsplit("#", 1)[1] if "#" in name else ""
 
 

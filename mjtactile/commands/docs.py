@@ -1,4 +1,4 @@
-"""`mjtactile docs`: the pages of the documentation, wherever the package is installed."""
+"""`mjtactile docs`: the pages of the documentation, also of an installed package."""
 
 from __future__ import annotations
 

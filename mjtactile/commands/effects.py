@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _cost(value: float) -> str:
-    """A cost that was measured below zero is one below the measurement's noise."""
+    """Format a cost; one that was measured below zero is below the measurement's noise."""
     return "about 0" if value <= 0 else _cell(value)
 
 

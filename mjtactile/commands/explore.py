@@ -202,12 +202,12 @@ def _live(
 
     store = None if out is None else PatchStore(out / _TOUCHED)
     known = store.read() if store is not None and options.resume else []
-    asked = ExplorationGoal(options.touches, 1e-3 * options.accuracy_mm, options.force)
+    goal = ExplorationGoal(options.touches, 1e-3 * options.accuracy_mm, options.force)
     keep = store.write if store is not None else lambda _: None
     on = _holder(options, requested)
     with signals.deferred() as stop:
         explore = _explorer(on, options, out, lambda: stop.asked)
-        found, true = explore(requested, asked, known=known, notify=progress.message, keep=keep)
+        found, true = explore(requested, goal, known=known, notify=progress.message, keep=keep)
         stop.asked = False  # the exploration ended in order and reports so
     names = {"object": Path(requested.object).stem, "sensor": requested.design().name}
     return found, {**names, "seed": requested.seed, **found.summary(), **true}
@@ -248,7 +248,7 @@ def _explorer(
         return partial(explore_in_gripper, stopped=stopped)
 
     def in_gripper(
-        requested: Scenario, asked: ExplorationGoal, **arguments: Any
+        requested: Scenario, goal: ExplorationGoal, **arguments: Any
     ) -> tuple[ExplorationResult, dict[str, Any]]:
         yaw = math.radians(sum(options.turns))
         with contextlib.ExitStack() as stack:
@@ -257,7 +257,7 @@ def _explorer(
                 folder = _unused(out / "recording")
                 header = requested.header() | {"controller": "explore"}
                 recorder = stack.enter_context(Recorder(folder, header))
-            found = explore_by_gripper(requested, asked, yaw=yaw, observer=recorder, **arguments)
+            found = explore_by_gripper(requested, goal, yaw=yaw, observer=recorder, **arguments)
         return found, {}
 
     return in_gripper

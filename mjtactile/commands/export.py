@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _camera_problems(options: argparse.Namespace, episode: RecordedEpisode) -> list[str]:
-    """LeRobot data sets have no camera geometry."""
+    """Return the problems of the camera geometry, which LeRobot data sets do not contain."""
     return [] if options.format == "lerobot" else episode.camera_problems
 
 

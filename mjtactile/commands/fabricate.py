@@ -17,7 +17,7 @@ by the pre-stretch (markers.svg, stencil.svg, markers.pdf), the board for `calib
 frame, clamping ring, glass seat, camera mount and a stretching jig as STEP and STL, the LED
 ring, a bill of materials and assembly.md with a figure for each step.
 
-The simulator first checks the design: the camera sees every marker of the flat, inflated and
+The simulator first checks the design: the image contains every marker of the flat, inflated and
 indented membrane, sharp and without smear; markers, walls, bolts and glass can be manufactured;
 parts do not intersect. A design that fails is refused with the field and its limit, and nothing
 is written."""

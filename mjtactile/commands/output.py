@@ -57,7 +57,7 @@ def complete_folder(path: Path, *results: str) -> Iterator[Path]:
 
 
 def require_new(path: Path, field: str = "--out") -> None:
-    """Raise InputError where there is a file or folder of that name already."""
+    """Raise InputError if a file or folder of that name exists."""
     if foreign_file.exists(path):
         message = "the path exists already, and nothing is overwritten; choose another name"
         raise InputError(message, source=path, field=field)
@@ -65,7 +65,7 @@ def require_new(path: Path, field: str = "--out") -> None:
 
 @contextlib.contextmanager
 def optional_folder(path: Path | None, *results: str) -> Iterator[Path | None]:
-    """The same where `--out` may be left out: None then."""
+    """Create the output folder as `output_folder`; yield None without `--out`."""
     if path is None:
         yield None
         return
@@ -97,7 +97,7 @@ def new_run_folder(name: str) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def _removed_if_empty(path: Path) -> Iterator[None]:
-    """On exit, remove `path` and its parent folders if they were created inside and are empty."""
+    """Remove `path` and its parent folders on exit, if they are new and empty."""
     made = [folder for folder in (path, *path.parents) if not foreign_file.exists(folder)]
     try:
         yield

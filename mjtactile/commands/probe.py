@@ -147,8 +147,10 @@ def _range(value: float, interval: Any) -> str:
 
 
 def plot(figure: Any, result: ProbeResult) -> None:
-    """Force against deformation and against membrane-and-object indentation; force and width over
-    time."""
+    """Plot force against deformation and against both indentations; force and width over time.
+
+    Indentations are those of membrane and object.
+    """
     s = result.squeeze
     phases = result.phases
     free = s.width[(s.force > 0.1) & (s.width == s.width)]

@@ -94,18 +94,20 @@ def run(options: argparse.Namespace) -> int:
     progress = Progress(quiet=options.json)
     with optional_folder(options.out, "reconstruct.json") as out:
         with stdout_to_stderr():
-            seen = []
+            evaluated = []
             for frame in read_frames(options.source):
-                seen.append((frame.name, *_reconstruct(frame, perception, out)))
-                if len(seen) % 50 == 0:
-                    progress.message(f"{len(seen)} frames")
-        if not any(touch is not None for _, _, touch in seen):
-            message = f"none of its {len(seen)} images can be used: {seen[0][1]['status']}"
+                evaluated.append((frame.name, *_reconstruct(frame, perception, out)))
+                if len(evaluated) % 50 == 0:
+                    progress.message(f"{len(evaluated)} frames")
+        if not any(touch is not None for _, _, touch in evaluated):
+            message = (
+                f"none of its {len(evaluated)} images can be used: {evaluated[0][1]['status']}"
+            )
             raise InputError(message, source=options.source, field="SOURCE")
-        result = {"sensor": design.name, "frames": [row for _, row, _ in seen]}
+        result = {"sensor": design.name, "frames": [row for _, row, _ in evaluated]}
         if out is not None:
             write_json(out / "reconstruct.json", result)
-            _figures(seen, out)
+            _figures(evaluated, out)
     print_result(options, result, lambda: _print_table(result["frames"], options.out))
     return 0
 
@@ -124,7 +126,7 @@ def load_perception(design: SensorDesign, path: Path | None) -> StatefulPipeline
 def _reconstruct(
     frame: NamedImage, perception: StatefulPipeline, out: Path | None
 ) -> tuple[dict[str, Any], Touch | None]:
-    """One frame of the JSON, and its touch."""
+    """Evaluate one frame; return its row of the JSON, and its touch."""
     pipeline = perception.pipeline
     state = perception.state
     image = to_image(frame, pipeline.design)
@@ -211,10 +213,12 @@ def _markers(markers: Markers) -> list[dict[str, Any]]:
     ]
 
 
-def _figures(seen: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path) -> None:
-    """3D figures of up to FIGURES_MAX frames, evenly spread over the source."""
+def _figures(frames: Sequence[tuple[str, dict[str, Any], Touch | None]], out: Path) -> None:
+    """Plot 3D figures of up to FIGURES_MAX frames, evenly spaced over the source."""
     shown = [
-        (name, touch) for name, _, touch in seen if touch is not None and touch.surface is not None
+        (name, touch)
+        for name, _, touch in frames
+        if touch is not None and touch.surface is not None
     ]
     if not shown:
         return

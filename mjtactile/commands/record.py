@@ -122,13 +122,13 @@ _SENSOR = "dense"
 
 @dataclass
 class Monitor:
-    """A controller that leaves everything as it is for `seconds` s."""
+    """Controller that repeats the last command for `seconds` s."""
 
     seconds: float
     path: Path = Path("monitor")
 
     def step(self, observation: Observation) -> Command:
-        """The last command again; "done" when the time is over, by the rig's own clock."""
+        """Return the last command again; "done" after the duration by the rig's own clock."""
         last = observation.command
         start = last.memory.get("start", observation.time)
         is_over = observation.time + 0.5 * observation.period >= start + self.seconds
@@ -310,7 +310,7 @@ class _Monitored(Observers):
 def _record(
     session: Session, recorder: Recorder, seconds: float, progress: Progress, stage: Stage | None
 ) -> dict[str, Any]:
-    """References, then the watch; moves are called out when their time has come."""
+    """Take references, then record; the protocol's moves are announced at their times."""
     import numpy as np
 
     watching = _Watching(progress, stage)

@@ -9,7 +9,7 @@ from mjtactile import InputError
 
 
 def of_checkout(module: str) -> ModuleType:
-    """The module of this name in the folder `benchmarks`.
+    """Import the module of this name from the folder `benchmarks`.
 
     Raises:
         InputError: this is an installed package, which has no benchmarks.

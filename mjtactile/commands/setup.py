@@ -1,4 +1,4 @@
-"""`mjtactile setup`: a rig file for the gripper on the table, by questions."""
+"""`mjtactile setup`: a rig file for the connected gripper, from questions to the user."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def _camera_and_radius(options: argparse.Namespace) -> tuple[Camera | None, floa
 
 
 def _images(source: Path, frames: list[NamedImage], camera: Camera | None) -> Iterator[NDArray]:
-    """The images that can be read; `frames` gets each as it comes."""
+    """Yield the readable images; each is also appended to `frames`."""
     for frame in read_frames(source):
         if frame.pixels is None:
             continue
@@ -76,10 +76,10 @@ def _images(source: Path, frames: list[NamedImage], camera: Camera | None) -> It
 def _result(names: Sequence[str], found: Sequence[TrackedCircles]) -> dict[str, Any]:
     if not names:
         raise InputError("none of its images can be read", field="SOURCE")
-    seen: dict[int, int] = {}
+    counts: dict[int, int] = {}
     for tracked in found:
         for identity in tracked.ids[tracked.ids >= 0].tolist():
-            seen[identity] = seen.get(identity, 0) + 1
+            counts[identity] = counts.get(identity, 0) + 1
     return {
         "frames": [
             {
@@ -90,7 +90,7 @@ def _result(names: Sequence[str], found: Sequence[TrackedCircles]) -> dict[str, 
             }
             for name, tracked in zip(names, found, strict=True)
         ],
-        "tracks": [{"id": identity, "frames": seen[identity]} for identity in sorted(seen)],
+        "tracks": [{"id": identity, "frames": counts[identity]} for identity in sorted(counts)],
     }
 
 

@@ -241,7 +241,7 @@ def _rounded(value: float, step: float, *, down: bool = False) -> float:
 
 
 def radius_px(design: SensorDesign) -> float:
-    """A marker's radius on the flat membrane, px."""
+    """Return a marker's radius on the flat membrane, px."""
     return design.camera.fx * design.markers.radius / design.camera.distance
 
 

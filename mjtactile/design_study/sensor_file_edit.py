@@ -30,7 +30,7 @@ def sensor_text(design: SensorDesign, head: str = "") -> str:
 
 
 def rebuilt(design: SensorDesign) -> SensorDesign:
-    """A changed design, refused where its file would be.
+    """Return the sensor that results from the file of a changed design.
 
     Args:
         design: With whatever values.
@@ -70,7 +70,7 @@ def with_markers(
 
 
 def extent_of(design: SensorDesign) -> tuple[float, float]:
-    """From outermost marker to outermost marker along x and y, m."""
+    """Return the distance of the outermost markers along x and y, m."""
     markers = design.markers
     return (markers.columns - 1) * markers.pitch_x, (markers.rows - 1) * markers.pitch_y
 
@@ -81,7 +81,7 @@ def radius_fraction(design: SensorDesign) -> float:
 
 
 def scaled_lens(design: SensorDesign, factor: float) -> SensorDesign:
-    """The same sensor with a longer or shorter lens: focal lengths times `factor`."""
+    """Return the same sensor with focal lengths times `factor`."""
     camera = design.camera
     return replace(design, camera=replace(camera, fx=factor * camera.fx, fy=factor * camera.fy))
 

@@ -247,7 +247,10 @@ class VirtualBench:
 
 
 def net_force(inverse: InverseMembrane, prior: Array) -> Array:
-    """Net force by the nodes' tractions over the root of their prior, (3, 3 J)."""
+    """Return the matrix (3, 3 J) from normalized nodal tractions to the net force.
+
+    The tractions are normalized by the root of their prior.
+    """
     root = np.kron(*inverse.prior.root)
     nodes = len(inverse.node_area)
     loads = (inverse.node_area * prior.reshape(3, nodes)) @ root

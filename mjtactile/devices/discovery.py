@@ -139,7 +139,7 @@ def _identify(port: SerialPort, notify: Callable[[str], None]) -> SerialPort:
 
 
 def _model_name(bus: DynamixelBus, servo: int) -> str:
-    """The model's name; "" of one that does not answer."""
+    """Return the model's name; "" without an answer."""
     try:
         model_number, _ = bus.ping(servo)
     except BusError as error:

@@ -219,5 +219,5 @@ def _model_values(row: _Model) -> dict[str, dict[str, object]]:
 
 @functools.cache
 def control_table(model: str) -> ControlTable:
-    """The control table of a model. Raises InputError for one that the emulator does not know."""
+    """Return the control table of a model. Raises InputError for an unknown model."""
     return ControlTable(model)

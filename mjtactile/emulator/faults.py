@@ -43,7 +43,7 @@ class Faults:
     rng: random.Random = field(default_factory=lambda: random.Random(0))
 
     def set(self, kind: str, value: float) -> None:
-        """Raises KeyError for a kind that does not exist."""
+        """Set the value of a fault. Raises KeyError for an unknown kind."""
         if kind not in KINDS:
             raise KeyError(kind)
         self.values[kind] = float(value)
@@ -52,6 +52,6 @@ class Faults:
         return self.values.get(kind, 0.0)
 
     def occurs(self, kind: str) -> bool:
-        """Throw the dice of a probability."""
+        """Sample an event with the probability of a fault."""
         chance = self.values.get(kind, 0.0)
         return chance > 0 and self.rng.random() < chance

@@ -46,7 +46,7 @@ class EmulatedHardware:
         self.unplug()
 
     def unplug(self) -> None:
-        """Pull both USB plugs."""
+        """Disconnect both USB ports."""
         self.bus.close()
         if self.valve is not None:
             self.valve.close()
@@ -118,7 +118,7 @@ class EmulatedHardware:
         self.firmware.tick(now, period)
 
     def _inject_faults(self) -> None:
-        """Carry out the faults that happen to a servo or to the world, rather than to a reply."""
+        """Apply the faults that occur in a servo or in the world, not in a reply."""
         for kind, act in (
             ("servo_overload", lambda s: s.raise_error(0x20)),
             ("servo_overheat", lambda s: s.heat(95.0)),

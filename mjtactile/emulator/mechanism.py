@@ -55,8 +55,10 @@ class Jaw:
 
 
 class GearedJaws:
-    """All jaws; a gear keeps them symmetric, so that each owns the same part of the opening.
-    `backlash` m of the opening: how far the shafts turn before the jaws follow."""
+    """All jaws; a gear keeps them symmetric, so that each has the same part of the opening.
+
+    `backlash` is the lost motion between shafts and jaws, m of the opening.
+    """
 
     def __init__(self, jaws: Sequence[Jaw], backlash: float = 0.0):
         self._jaws = tuple(jaws)

@@ -23,7 +23,7 @@ class MotorDrive:
 
 @dataclass
 class Path:
-    """The trajectory that a profile makes of a goal: `angle` rad, `speed` rad/s."""
+    """Trajectory of a profile to a goal: `angle`, rad, and `speed`, rad/s."""
 
     angle: float
     speed: float = 0.0
@@ -54,7 +54,7 @@ class Path:
             self.speed = requested
 
     def turn(self, speed: float, acceleration: float, period: float) -> None:
-        """Towards a speed."""
+        """Move for one period, s, with a speed that approaches `speed`, rad/s."""
         change = acceleration * period if acceleration > 0 else math.inf
         self.speed += min(max(speed - self.speed, -change), change)
         self.angle += self.speed * period

@@ -32,7 +32,7 @@ class EmulatorOptions:
         )
 
     def encode(self) -> str:
-        """One line of text, for the process's stdin: both ends are this program."""
+        """Encode the options as one line of text for the stdin of the process."""
         return base64.b64encode(pickle.dumps(self)).decode("ascii")
 
     @staticmethod

@@ -42,7 +42,7 @@ class EmulatorProcess:
         return self._process.pid
 
     def fault(self, kind: str, value: float = 1.0) -> None:
-        """Switch a fault on (or off with 0). Raises InputError for one that does not exist."""
+        """Switch a fault on (or off with 0). Raises InputError for an unknown kind."""
         self._request({"fault": kind, "value": value})
 
     def truth(self) -> dict[str, Any]:
@@ -50,7 +50,7 @@ class EmulatorProcess:
         return self._request({"ask": "truth"})
 
     def connect(self, rig_file: RigFile) -> RigFile:
-        """The rig file with the emulator's addresses in it."""
+        """Return the rig file with the emulator's addresses."""
         valve = self.endpoints["valve"] or ""
         return replace(
             rig_file,
@@ -62,7 +62,7 @@ class EmulatorProcess:
         )
 
     def close(self) -> None:
-        """End the process, by force if it does not listen."""
+        """End the process, by force if it does not respond."""
         process.stop(self._process, _STOP_TIME)
 
     def _request(self, request: Mapping[str, Any] | str) -> dict[str, Any]:

@@ -33,8 +33,10 @@ _LONGEST = 1024  # bytes; a longer length is a broken packet
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16 of polynomial x^16 + x^15 + x^2 + 1 (0x8005), initial value 0, most significant bit
-    first."""
+    """Compute the CRC-16, most significant bit first, with initial value 0.
+
+    The polynomial is x^16 + x^15 + x^2 + 1 (0x8005).
+    """
     crc = 0
     for byte in data:
         crc ^= byte << 8
@@ -54,8 +56,10 @@ def fast_crc16(data: bytes, crc: int = 0) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """Instruction and parameters with FD added after each FF FF FD, so that no header appears
-    inside a packet."""
+    """Add FD after each FF FF FD of instruction and parameters.
+
+    No header can then appear inside a packet.
+    """
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 
 
@@ -71,7 +75,7 @@ def encode(servo: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 
 def status(servo: int, error: int, parameters: bytes = b"") -> bytes:
-    """A status packet."""
+    """Return a status packet."""
     return encode(servo, STATUS, bytes([error]) + parameters)
 
 
@@ -101,13 +105,13 @@ class Instruction:
 
 
 class Decoder:
-    """Finds instruction packets in a stream of bytes, whatever garbage is between them."""
+    """Decoder of instruction packets in a stream of bytes with arbitrary noise."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> Iterator[Instruction]:
-        """Take `data` in and yield every packet that is complete now."""
+        """Receive data, and yield every packet that is now complete."""
         self._buffer += data
         while (packet := self._next()) is not None:
             body = unstuff(bytes(packet[7:-2]))

@@ -70,8 +70,7 @@ class PtyPort:
                 os.write(self._master, data)
 
     def close(self) -> None:
-        """Pull the plug: the host's next read or write fails as with a USB adapter that was
-        unplugged."""
+        """Disconnect the host: its next read or write fails as after unplugging a USB adapter."""
         with self._lock:
             if not self._is_open:
                 return

@@ -27,7 +27,7 @@ class Registers:
         return int.from_bytes(self._memory[field.address : field.address + field.size], "little")
 
     def get_signed(self, name: str) -> int:
-        """A register as two's complement."""
+        """Return a register as two's complement."""
         value = self.get(name)
         bits = 8 * self._table.fields[name].size
         return value - (1 << bits) if value >> (bits - 1) else value
@@ -101,7 +101,7 @@ class Registers:
         return int.from_bytes(self._memory[target : target + 2], "little")
 
     def _parse(self, address: int, data: bytes) -> tuple[list[tuple[ct.TableEntry, int]], int]:
-        """The registers that `data` covers, with their new values; or an error."""
+        """Return the registers that `data` covers with their new values, and the error number."""
         addresses = [self._where(a) for a in range(address, address + len(data))]
         fields = []
         start = 0

@@ -1,4 +1,4 @@
-"""The emulated rig: the emulator's process, and the drivers of the real devices talking to it."""
+"""The emulated rig: the emulator's process, connected to the drivers of the real devices."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def build_emulated_rig(
 
 
 def build(request: RigRequest) -> Rig:
-    """The backend "emulator" of `mjtactile.rig.registry`."""
+    """Build the rig of the backend "emulator" of `mjtactile.rig.registry`."""
     return build_emulated_rig(
         require_file(request),
         request.design,

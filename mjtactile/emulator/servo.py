@@ -95,13 +95,13 @@ class EmulatedServo(ServoRegisters):
         return now < self._silent_until
 
     def reboot(self, now: float) -> None:
-        """Restart: clears latched errors, forgets turns, is silent for a while."""
+        """Restart: clear latched errors and the turn count, and stay silent for a while."""
         with self._lock:
             self._power_up()
             self._silent_until = now + _REBOOT_TIME
 
     def factory_reset(self, option: int, now: float) -> int:
-        """ "Factory Reset": 0xFF all, 1 all but the id, 2 all but id and baud rate."""
+        """Execute "Factory Reset": 0xFF all, 1 all but the id, 2 all but id and baud rate."""
         keep = {0xFF: (), 0x01: ("ID",), 0x02: ("ID", "Baud Rate")}.get(option)
         if keep is None:
             return RANGE_ERROR
@@ -111,7 +111,10 @@ class EmulatedServo(ServoRegisters):
         return 0
 
     def clear(self) -> int:
-        """ "Clear": the turns are forgotten; "can only be applied when DYNAMIXEL is stopped"."""
+        """Execute "Clear", which resets the turn count.
+
+        It "can only be applied when DYNAMIXEL is stopped".
+        """
         with self._lock:
             self._publish()
             if self.get("Moving"):
@@ -122,7 +125,8 @@ class EmulatedServo(ServoRegisters):
             return 0
 
     def back_up(self, option: int, now: float) -> int:
-        """ "Control Table Backup": 1 stores, 2 restores and reboots, with torque off only."""
+        """Execute "Control Table Backup", with torque off only: 1 stores, 2 restores and
+        reboots."""
         with self._lock:
             if (
                 self.get("Torque Enable")
@@ -196,7 +200,7 @@ class EmulatedServo(ServoRegisters):
         return (self._table.size, self.get("Firmware Version")) in ct.WATCHDOG_GOES_ON
 
     def drive(self) -> MotorDrive:
-        """The drive that the registers ask for now."""
+        """Return the drive that the registers request."""
         with self._lock:
             mode = self.get("Operating Mode")
             if not self.get("Torque Enable"):
@@ -269,7 +273,7 @@ class EmulatedServo(ServoRegisters):
             self._warm(period)
 
     def _warm(self, period: float) -> None:
-        """Winding temperature of first order, and the overload timer."""
+        """Update the winding temperature, a first-order lag, and the overload timer."""
         fraction = abs(self.current) / self._current_max
         final = _AMBIENT + _HEATING * fraction**2
         self._temperature += (final - self._temperature) * min(1.0, period / _COOLING_TIME)

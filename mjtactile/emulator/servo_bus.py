@@ -27,8 +27,10 @@ _REPORTED_AT = {p2.PING: 0, p2.READ: 1}
 
 
 class ServoBus:
-    """`usb_latency` s of the adapter's latency timer on each answer; `on_packet(time, instruction)`
-    sees every packet."""
+    """Servos on a bus; each answer is delayed by the adapter's latency timer, `usb_latency` s.
+
+    `on_packet(time, instruction)` receives every packet.
+    """
 
     def __init__(
         self,
@@ -95,7 +97,7 @@ class ServoBus:
         return answer
 
     def _single(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
-        """Carry out and answer from the old id; a new id applies from the next packet on."""
+        """Execute a packet and answer with the old id; a new id applies from the next packet on."""
         asked = servo.id
         level = servo.get("Status Return Level")
         error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
@@ -130,7 +132,10 @@ class ServoBus:
     def _read_each(
         self, blocks: Sequence[tuple[int, int, int]], awake: Sequence[EmulatedServo]
     ) -> bytes:
-        """ "Each device individually returns Status Packet"; a missing one sends none."""
+        """Return the status packets of all servos; a missing one sends none.
+
+        "Each device individually returns Status Packet".
+        """
         answer = b""
         for servo_id, address, size in blocks:
             for servo in awake:

@@ -47,7 +47,7 @@ class ServoRegisters(Registers):
             return super().write(address, data, ram_only=ram_only)
 
     def register(self, address: int, data: bytes) -> int:
-        """Keep a write until `act` (Protocol 2.0, "Reg Write")."""
+        """Store a write until `act` (Protocol 2.0, "Reg Write")."""
         with self._lock:
             _, error = self._checked(address, data)
             if not error:
@@ -95,8 +95,11 @@ class ServoRegisters(Registers):
             self.set("Firmware Version", self._firmware)
 
     def _mode_defaults(self) -> None:
-        """ "Switching Operating Mode will reset gains … profile generator and limits will also be
-        reset", Operating Mode(11)."""
+        """Reset gains, limits and goals after a change of the mode.
+
+        "Switching Operating Mode will reset gains … profile generator and limits will also be
+        reset", Operating Mode(11).
+        """
         for name in ct.BACKED_UP:
             self.set(name, self._table.fields[name].default)
         self.set("Goal PWM", self.get("PWM Limit"))

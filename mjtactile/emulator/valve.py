@@ -43,7 +43,10 @@ _TABLE = [_divide(byte) for byte in range(256)]
 
 
 def crc32(data: bytes) -> int:
-    """CRC-32 of IEEE 802.3: polynomial 0x04C11DB7, reflected, start and final complement."""
+    """Compute the CRC-32 of IEEE 802.3: reflected, start value and final complement 0xFFFFFFFF.
+
+    The polynomial is 0x04C11DB7.
+    """
     crc = 0xFFFFFFFF
     for byte in data:
         crc = crc >> 8 ^ _TABLE[(crc ^ byte) & 0xFF]
@@ -51,7 +54,7 @@ def crc32(data: bytes) -> int:
 
 
 def framed(body: str) -> bytes:
-    """A line as it is sent."""
+    """Return a line with its checksum and its end, as sent."""
     data = body.encode("ascii")
     return data + f"*{crc32(data):08X}\n".encode("ascii")
 
@@ -89,7 +92,7 @@ class _Channel:
     slow: bool = False  # it vents slowly
 
     def trip(self, fault: str) -> None:
-        """Vent, and take no pressure until the host has vented, too."""
+        """Vent, and refuse pressure until the host has vented the channel as well."""
         self.state = "vent"
         self.slow = False
         self.goal = 0.0
@@ -169,7 +172,7 @@ class ValveFirmware:
             self.vent_time = now
 
     def _check_limits(self) -> None:
-        """Faults of sensors and pressures."""
+        """Trip channels with a failed sensor or an excessive pressure."""
         for number, channel in self.channels.items() if self._sensors else ():
             failed = bool(self._faults.get("valve_sensor"))
             high = channel.state != "vent" and self._pressure(number) > channel.limit * 1.25 + 200
@@ -194,7 +197,7 @@ class ValveFirmware:
             self._chambers.connect(number, channel.supply)
 
     def reply(self, line: bytes, now: float) -> bytes | None:
-        """The answer to one line without its end, None for none."""
+        """Return the answer to one line without its end; None: no answer."""
         with self._lock:
             body = unframed(line)
             if body is None or self._faults.get("valve_silent"):
@@ -208,7 +211,7 @@ class ValveFirmware:
             return framed(f"{sequence} {self._execute(command)}")
 
     def _execute(self, command: str) -> str:
-        """The command again, or an error."""
+        """Execute a command; return it as the confirmation, or an error."""
         word, *arguments = command.split()
         if any(re.fullmatch(r"\d{1,6}", argument) is None for argument in arguments):
             return "error number"
@@ -238,7 +241,8 @@ class ValveFirmware:
     def _execute_for_channel(
         self, word: str, channel: _Channel, channel_number: int, value: int = 0
     ) -> str | None:
-        """An answer of its own, None for the command again."""
+        """Execute a command of a channel; return its answer, or None for a repetition of the
+        command."""
         if word == "state":
             is_finite_value = self._sensors and not self._faults.get("valve_sensor")
             pressure = str(round(self._pressure(channel_number))) if is_finite_value else "-"

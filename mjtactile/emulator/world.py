@@ -173,7 +173,7 @@ class EmulatedWorld:
         joint.qvel[:] = 0.0
 
     def _lift(self, goal: float) -> None:
-        """To the height that is asked for; a lift without torque falls."""
+        """Move the lift to the requested height, m; without torque (NaN) it falls."""
         if not math.isnan(goal):
             self._fall_speed = 0.0
             self.scene.set_lift_target(min(max(goal, 0.0), self._travel))

@@ -94,7 +94,7 @@ def new_suite(
     randomization: str = "default",
     effects: str = "-images",
 ) -> Suite:
-    """A suite of the files as they are now, without results."""
+    """Return a suite of the current files, without results."""
     files = _hashes(tasks, randomization)
     return Suite(name, VERSION, tasks, objects, seed, develop, randomization, effects, files, {})
 
@@ -174,7 +174,7 @@ def run_round(
 
 
 def read(suite: Suite, folder: Path, task: str) -> list[dict[str, Any]]:
-    """The lines of one task in `folder`; none where it was not run.
+    """Read the lines of one task in `folder`; empty if the task was not run.
 
     Raises InputError where they are of another scenario, or of other files, than the suite's.
     """
@@ -242,15 +242,17 @@ def compare(suite: Suite, folder: Path) -> dict[str, Any]:
 
 
 def _numbered(suite: Suite, index: int, lines: Sequence[Line]) -> list[Line]:
-    """The lines of the task at `index`, whose episodes are none of another's."""
+    """Return the lines of the task at `index` with episode numbers that no other task has."""
     return [{**line, "episode": line["episode"] * len(suite.tasks) + index} for line in lines]
 
 
 def _compared(
     controller: str, mine: Sequence[Line], others: Mapping[str, Sequence[Line]], comparisons: int
 ) -> dict[str, Any]:
-    """One controller's lines against those of others, by name; a report has so many
-    `comparisons`."""
+    """Compare one controller's lines with those of others, by name.
+
+    `comparisons` is the number of comparisons in the report.
+    """
     summary = summarise(mine)["controllers"][controller]
     return {
         "held": summary["held"],
@@ -264,7 +266,7 @@ def _compared(
 
 
 def table(suite: Suite, result: Mapping[str, Any]) -> str:
-    """A comparison as Markdown."""
+    """Format a comparison as a Markdown table."""
     others = list(dict.fromkeys(name for row in suite.results.values() for name in row))
     against = " | ".join(f"against `{name}`" for name in others)
     lines = [
@@ -312,13 +314,13 @@ def _intervals_text(rows: Mapping[str, Any]) -> str:
 
 
 def fraction(held: int, of: int) -> str:
-    """ "26 of 33 (62-89 %)"."""
+    """Format a success rate with its interval: "26 of 33 (62-89 %)"."""
     low, high = wilson(held, of)
     return f"{held} of {of} ({100 * low:.0f}-{100 * high:.0f} %)"
 
 
 def _difference(pair: Mapping[str, Any] | None) -> str:
-    """In points, with its interval, over the episodes that both completed."""
+    """Format the difference over the common episodes, in points, with its interval."""
     if pair is None or not pair["episodes"]:
         return ""
     low, high = (100 * limit for limit in pair["adjusted_interval"])

@@ -118,5 +118,5 @@ class TrueOutcome(Observer):
 
 
 def files(scenario: Scenario) -> list[Path]:
-    """The files of an emulated rig that its episodes depend on."""
+    """Return the files of an emulated rig that its episodes depend on."""
     return [read_rig_file(scenario.rig).path]

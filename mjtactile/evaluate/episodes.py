@@ -167,7 +167,7 @@ def run_episode(
 
 @cache
 def _freeze_remaining() -> None:
-    """Freeze once a process; `gc.get_freeze_count` takes as long as a collection."""
+    """Freeze once per process, since `gc.get_freeze_count` takes as long as a collection."""
     gc.freeze()
 
 
@@ -186,7 +186,7 @@ def _sampled_values(scenario: Scenario) -> dict[str, Any]:
 def _run(
     scenario: Scenario, observers: Sequence[Observer], controller: LoadedController | None
 ) -> dict[str, Any]:
-    """The grasp's summary, or that of an error. Raises Interrupted."""
+    """Return the summary of the grasp, or of its error. Raises Interrupted."""
     try:
         if not emulated.check(scenario):
             return run_grasp(scenario, observers, controller=controller, workers=0).summary()
@@ -231,7 +231,7 @@ class _Facts(Observer):
         """Simulated time from the first cycle to the last, s."""
 
     def start(self, session: Session) -> None:
-        """Episodes have a process each, and these fill the processors."""
+        """Switch off parallel stepping, since each episode has its own process."""
         if isinstance(session.rig.clock, SimClock):
             session.rig.clock.step_in_turn()
 

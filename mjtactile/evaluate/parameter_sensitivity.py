@@ -14,7 +14,7 @@ _BINS = 5
 _CATEGORIES = 6
 _LEVEL = 0.05
 MEASURES = ("slip_mm", "force_error_N", "peak_to_break_ratio")
-"""Continuous measures that vary even where no episode fails."""
+"""Continuous measures that vary even if no episode fails."""
 
 
 def measures(line: Line) -> dict[str, float | None]:
@@ -131,7 +131,10 @@ def _correlations(
 def _bins(
     values: Sequence[float | str], held: np.ndarray, pool: Sequence[float | str], *, words: bool
 ) -> list[dict[str, Any]]:
-    """Each value by itself where they are few, else as many of the `pool` in each bin."""
+    """Return the success rate per bin.
+
+    Few values have one bin each. Otherwise each bin has the same number of the `pool`.
+    """
     kinds = sorted(set(pool), key=str if words else float)  # type: ignore[arg-type]
     if words or len(kinds) <= _CATEGORIES:
         return [

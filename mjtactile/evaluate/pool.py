@@ -115,7 +115,7 @@ def _line(episode: Episode, run: RunOne, parent: int | None = None) -> dict[str,
 
 @cache
 def _end_with(parent: int) -> None:
-    """Watch the parent process, once a worker."""
+    """End this process with its parent; called once per worker."""
     process.watch_parent(parent)
 
 

@@ -194,7 +194,7 @@ def _quantiles(name: str, values: Sequence[float]) -> str:
 
 
 def _parameter_sections(summary: Mapping[str, Any]) -> str:
-    """Success against each varied value; the order is that of the first controller."""
+    """Plot the success rate over each randomized value, in the order of the first controller."""
     controllers = summary["controllers"]
     by_value: dict[str, dict[str, Any]] = {}
     for name, group in controllers.items():

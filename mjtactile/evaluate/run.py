@@ -131,7 +131,7 @@ def common_settings(scenario: Scenario) -> dict[str, Any]:
 
 
 def _episode(manifest: Mapping[str, Any], line: Mapping[str, Any], source: Path) -> Episode:
-    """The episode of a line."""
+    """Return the episode of a line."""
     options = manifest["options"]
     controllers = [name for name in options["controllers"] if Path(name).stem == line["controller"]]
     scenario = scenario_from_table(options["scenario"], source, label="options.scenario")
@@ -167,7 +167,7 @@ def merge(folders: Sequence[Path], out: Path, *, partial: bool = False) -> dict[
 
 
 def _joined(folders: Sequence[Path]) -> dict[tuple[int, str], dict[str, Any]]:
-    """All lines, by episode and controller. Raises InputError where two folders differ in one."""
+    """Join all lines by episode and controller. Raises InputError if two folders differ in one."""
     lines: dict[tuple[int, str], dict[str, Any]] = {}
     homes: dict[tuple[int, str], Path] = {}
     for folder in folders:
@@ -181,7 +181,7 @@ def _joined(folders: Sequence[Path]) -> dict[tuple[int, str], dict[str, Any]]:
 
 
 def _missing(options: Mapping[str, Any], lines: Collection[tuple[int, str]]) -> list[str]:
-    """Names of the episodes that the evaluation has and the lines have not."""
+    """Return the names of the episodes of the evaluation without a line."""
     controllers = [Path(name).stem for name in options["controllers"]]
     return [
         name_of(controller, index)

@@ -95,8 +95,10 @@ def _error_of_sum(first: float, second: float, correlation: float) -> float:
 
 
 def exact_limits(count: float, n: float, error: float = _ERROR) -> tuple[float, float]:
-    """Compute Clopper and Pearson's limits of a proportion, which `error` is the probability to
-    miss."""
+    """Compute Clopper and Pearson's limits of a proportion.
+
+    They miss the true proportion with probability `error`.
+    """
     half = error / 2
     low = float(stats.beta.ppf(half, count, n - count + 1)) if count > 0 else 0.0
     high = float(stats.beta.ppf(1 - half, count + 1, n - count)) if count < n else 1.0
@@ -200,7 +202,7 @@ def _spread(values: Iterable[float | None]) -> dict[str, float | None]:
 
 
 def table(summary: Mapping[str, Any]) -> str:
-    """The summary as Markdown."""
+    """Format the summary in Markdown."""
     lines = [
         "| controller | object | held | 95 % interval | dropped | crushed | stopped | errors "
         "| largest force, N: median (worst) | held with, N: 5-95 % "
@@ -224,7 +226,7 @@ def table(summary: Mapping[str, Any]) -> str:
 
 
 def _row(controller: str, label: str, group: Mapping[str, Any]) -> str:
-    """A row of the table: all of a controller's episodes, or those with one object."""
+    """Format a row of the table: all episodes of a controller, or those with one object."""
     low, high = group["success_interval"]
     ended = group["episodes"] - group["error"]
     cells = [
@@ -263,7 +265,7 @@ def _texts(spread: Mapping[str, float | None], words: str) -> str:
 
 
 def pair_text(pair: Mapping[str, Any]) -> str:
-    """One difference as a sentence."""
+    """Describe one difference in a sentence."""
     low, high = pair["adjusted_interval"]
     better, other = pair["second"], pair["first"]
     difference = 100 * pair["difference"]

@@ -60,7 +60,7 @@ def checksum(path: Path) -> str:
 
 
 def command(options: Mapping[str, Any]) -> str:
-    """The shell's line for `options`."""
+    """Return the command line for `options`."""
     part, parts = options["shard"]
     scenario = options["scenario"]
     words = [
@@ -102,14 +102,14 @@ class Store:
         self._rewrite()  # without a line that was cut off
 
     def add(self, line: dict[str, Any]) -> None:
-        """Keep a line. Raises DeviceError where the disk does not take it."""
+        """Append a line. Raises DeviceError if it cannot be written."""
         path = self.folder / EPISODES
         with writing(path), path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         self.lines.append(line)
 
     def finish(self) -> None:
-        """Put the lines in order."""
+        """Sort the lines."""
         self.lines.sort(key=lambda line: (line["episode"], line["controller"]))
         self._rewrite()
 
@@ -126,7 +126,7 @@ def _keep_damaged(path: Path, lines: Sequence[Mapping[str, Any]]) -> None:
 
 
 def write_lines(folder: Path, lines: Sequence[Mapping[str, Any]]) -> None:
-    """All lines at once, or none."""
+    """Write all lines, or none."""
     part = folder / (EPISODES + ".part")
     with writing(folder / EPISODES):
         part.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
@@ -146,9 +146,9 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def read_lines(folder: Path) -> list[dict[str, Any]]:
-    """The complete lines of an evaluation; damaged ones are left out with a warning.
+    """Read the complete lines of an evaluation; damaged ones are left out with a warning.
 
-    Raises InputError where there are none.
+    Raises InputError if there are none.
     """
     lines, damaged = _read_lines(folder / EPISODES)
     if damaged:
@@ -173,7 +173,7 @@ def _read_lines(path: Path) -> tuple[list[dict[str, Any]], list[int]]:
 
 
 def _line(text: str) -> dict[str, Any] | None:
-    """One line; None where it is none."""
+    """Parse one line; None for a damaged line."""
     try:
         line = json.loads(text)
         return line if {"episode", "controller", "outcome"} <= line.keys() else None

@@ -27,7 +27,7 @@ LEVEL = "-mesh,-pipeline"
 """Effects of the cheap level."""
 SCREEN = "screen"
 FULL = "full"
-"""Folders of both evaluations, within that of the whole."""
+"""Subfolders of both evaluations."""
 _SEED = 20_000  # seed of the sample, different from that of any episode
 
 
@@ -75,7 +75,7 @@ def screen(
 
 
 def cheap_effects(effects: str) -> str:
-    """A scenario's effects with those of the cheap level."""
+    """Return a scenario's effects with those of the cheap level."""
     kept = [name for name in effects.split(",") if name and name != "auto"]
     return ",".join([*kept, LEVEL])
 
@@ -160,7 +160,7 @@ def _stratum(
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The comparison, in Markdown."""
+    """Format the comparison in Markdown."""
     head = (
         "| controller | episodes | held, screened | held at full fidelity, of all | screened "
         "failures: held at full fidelity | screened held: sample, held at full fidelity | "

@@ -37,7 +37,7 @@ def inflate(
     mesh: tuple[int, int] | None = None,
     notify: Notify = lambda _: None,
 ) -> dict[str, Any]:
-    """Bulge test at each gauge pressure, Pa; the JSON of `mjtactile inflate`."""
+    """Simulate a bulge test at each gauge pressure, Pa; return the JSON of `mjtactile inflate`."""
     world = _world(design, _NOWHERE, mesh=mesh)
     steps = []
     for pressure in pressures:
@@ -87,10 +87,10 @@ def press(
     error_estimate: bool = False,
     **simulation: Any,
 ) -> dict[str, Any]:
-    """Drive the indenter in steps; the JSON of `mjtactile press`. Estimates come from rendered
-    images alone.
+    """Drive the indenter in steps; return the JSON of `mjtactile press`.
 
-    `error_estimate`: run again on a coarser mesh, and let every step report its own force error.
+    Estimates come from rendered images alone. `error_estimate`: True to run again on a coarser
+    mesh, so that every step reports its own force error.
     `simulation`: `timestep` s and `effects` of the world.
     """
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
@@ -236,7 +236,7 @@ def _coarse(world: PressWorld) -> Reasons:
 def _bare_steps(
     design: SensorDesign, plan: IndentationPlan, mesh: tuple[int, int], simulation: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """The true forces of the same plan on another mesh, without a camera."""
+    """Return the true forces of the same plan on another mesh, without a camera."""
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
     world.inflate(design.chamber.supply_gauge, seal=plan.sealed)
     steps = []
@@ -251,7 +251,7 @@ def _bare_steps(
 
 
 def _step(world: PressWorld, touch: Touch, converged: bool) -> dict[str, Any]:
-    """One row of the JSON."""
+    """Return one row of the JSON."""
     sensor = world.sensors[0]
     wrench = touch.traction.wrench if touch.traction is not None else np.full(6, np.nan)
     contact = touch.contact

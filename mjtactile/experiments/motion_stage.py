@@ -41,7 +41,7 @@ Notify = Callable[[str], None]
 
 @dataclass(frozen=True)
 class _Cycle:
-    """One turn, as a `Recorder` wants it."""
+    """One cycle in the form that a `Recorder` requires."""
 
     time: float
     images: tuple[Image, ...]
@@ -56,7 +56,7 @@ class StageWorld:
     """Test sensor on its stand, with camera, pressure sensor and the stage's load cell."""
 
     def __init__(self, as_built: SensorDesign, stage: Stage, *, seed: int = 0, **world: Any):
-        """`world` goes to `PressWorld`, such as the mesh."""
+        """Build the scene; `world` are arguments of `PressWorld`, such as the mesh."""
         self.period = 1 / as_built.camera.rate
         timestep = self.period / math.ceil(self.period / _LARGEST_STEP)
         self.world = PressWorld(

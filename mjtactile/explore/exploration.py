@@ -76,7 +76,8 @@ class ExplorationResult:
     failures: tuple[str, ...] = ()
 
     def summary(self) -> dict[str, Any]:
-        """The JSON of `mjtactile explore`; unknown is NaN here and null there."""
+        """Return the JSON object of `mjtactile explore`; unknown values are NaN here, null in the
+        file."""
         return {
             "outcome": self.outcome,
             "touches": self.tried,
@@ -214,7 +215,7 @@ class PatchStore:
             file.write(json.dumps(to_json(patch.to_dict())) + "\n")
 
     def read(self) -> list[Patch]:
-        """The patches that are there; a line that was cut off while it was written is left out."""
+        """Read the stored patches; an incomplete last line is left out."""
         try:
             lines = foreign_file.read_text(self.path, _LARGEST, "a list of patches").splitlines()
         except UnicodeDecodeError as error:

@@ -63,7 +63,7 @@ class GripController:
     path: Path = Path("explore")
 
     def step(self, observation: Observation) -> Command:
-        """One control cycle."""
+        """Return the command of one control cycle."""
         command = replace(observation.command, force_limit=2 * self.force + 0.5)
         forces = [touch.force_normal for touch in observation.touch]
         period = observation.period

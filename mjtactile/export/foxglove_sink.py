@@ -117,7 +117,10 @@ def _channel(item: messages.Message, context: Any) -> Any:
 
 
 def _schema(item: messages.Message) -> dict[str, Any]:
-    """JSON schema of a touch, a wrench or a line of the log, with units and meanings."""
+    """Return the JSON schema of a touch, a wrench or a line of the log.
+
+    It includes units and meanings.
+    """
     columns = meanings()
     if item.kind == "wrench":
         kind = {"type": ["number", "null"]}
@@ -205,7 +208,7 @@ def _entity(item: messages.Message, **shapes: Any) -> Any:
 
 
 def _along(vector: Array) -> Array:
-    """A rotation (3, 3) whose x axis is along `vector`, as Foxglove's arrows are."""
+    """Return a rotation (3, 3) whose x axis is along `vector`, the axis of Foxglove's arrows."""
     x = vector / max(float(np.linalg.norm(vector)), 1e-12)
     aside = np.eye(3)[int(np.abs(x).argmin())]
     y = np.cross(aside, x)

@@ -38,7 +38,7 @@ def _write_one(path: Path, episode: RecordedEpisode) -> None:
 
 
 def _attach(episode: RecordedEpisode, writer: Any) -> None:
-    """The recording's facts, files and reference images."""
+    """Attach the recording's facts, files and reference images."""
     start = messages.nanoseconds(float(episode.recording.columns["time"][0]))
     times = {"log_time": start, "create_time": start}
     facts = {

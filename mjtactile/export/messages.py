@@ -68,7 +68,7 @@ def static(source: Source, time: float) -> Message:
 
 
 def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
-    """All messages of one cycle."""
+    """Yield all messages of one cycle."""
     for k, finger in enumerate(source.fingers):
         yield from _of_finger(source, seen, k, finger)
     row = seen.row
@@ -132,7 +132,7 @@ def _clouds(touch: Touch) -> Iterator[tuple[str, Cloud]]:
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:
-    """(x, y, z, w) of a rotation, w >= 0."""
+    """Return (x, y, z, w) of a rotation, w >= 0."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(R).as_quat()
@@ -140,7 +140,7 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
 
 
 def png_of(item: Message) -> bytes:
-    """An image's file, or the image as one."""
+    """Return an image as a PNG file: the stored one, or the encoded image."""
     image, file = item.value
     return png.encode(image.pixels) if file is None else file.read_bytes()
 

@@ -62,7 +62,7 @@ class RerunSink:
         self._frame += item.kind == "cycle"  # the last message of a cycle's measurements
 
     def close(self) -> None:
-        """See that all has arrived."""
+        """Wait until all data has arrived."""
         self.stream.flush()
         self.stream.disconnect()
 
@@ -83,7 +83,7 @@ class RerunSink:
         )
 
     def _place(self, frame: str) -> str:
-        """The entity of a frame."""
+        """Return the entity path of a frame."""
         if frame.endswith("_camera") and frame not in self._parents:
             self._parents[frame] = self._place(frame.removesuffix("_camera") + "_sensor")
         parent = self._parents.get(frame, "world")
@@ -182,7 +182,7 @@ class RerunSink:
 
 
 def to_file(sink: RerunSink, path: Path) -> None:
-    """Have a sink write a file."""
+    """Make a sink write to a file."""
     sink.stream.save(path, default_blueprint=sink.blueprint())
     sink.where = f"written to {path}: rerun {path}"
 
@@ -225,7 +225,7 @@ def _rgba(rgba: Sequence[float]) -> np.ndarray:
 
 
 def _normals(mesh: RenderedMesh) -> np.ndarray:
-    """At each point (n, 3), the mean of its triangles', by area."""
+    """Return the normal at each point (n, 3): the mean of its triangles' normals, by area."""
     corners = mesh.points[mesh.triangles]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.points)

@@ -112,14 +112,14 @@ def rendered_items(episode: RecordedEpisode) -> Iterator[Message]:
 
 
 def curves_of(ellipses: Ellipses) -> ImageCurves:
-    """The ellipses of an image as closed curves; those that are not "ok" are not trusted."""
+    """Return the ellipses of an image as closed curves; those without status "ok" are untrusted."""
     shapes = shape_from_axes(ellipses.semi_axes_px, ellipses.angle)
     points, _ = boundary(ellipses.center_px, shapes, _AROUND)
     return ImageCurves(np.concatenate([points, points[:, :1]], axis=1), ellipses.status == "ok")
 
 
 def surface_mesh(surface: Surface) -> RenderedMesh:
-    """A membrane's shape as triangles, two between four neighbours of its grid."""
+    """Triangulate a membrane: two triangles between four neighbors of its grid."""
     x, y = np.meshgrid(surface.x, surface.y)
     rows, columns = x.shape
     corner = np.arange(rows * columns).reshape(rows, columns)
@@ -162,7 +162,7 @@ def force_arrow(traction: Traction, surface: Surface) -> Arrows:
 
 
 def _height(surface: Surface, at: Array) -> Array:
-    """z (n,) m of the membrane at the nodes nearest to (n, 2) m."""
+    """Return the membrane's height z (n,), m, at the nodes nearest to (n, 2), m."""
     column = np.abs(surface.x[None] - at[:, :1]).argmin(axis=1)
     row = np.abs(surface.y[None] - at[:, 1:]).argmin(axis=1)
     return surface.z[row, column]

@@ -1,4 +1,4 @@
-"""`build`: all files of an output folder, worked out and checked before the first is written."""
+"""`build`: all files of an output folder, computed and checked before the first is written."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def build(
     states_of: Callable[..., list[MembraneState]] = simulate,
     load_states_of: Callable[..., list[MembraneState]] = simulate_largest_loads,
 ) -> Build:
-    """Make the files for `design`, read from `source` with `text`. Raises InputError."""
+    """Compute all files for `design`, read from `source` with `text`. Raises InputError."""
     mesh.require_libraries()
     layout = Layout.of(design, hardware, source)
     parts = make_parts(layout)
@@ -97,7 +97,7 @@ def build(
 
 
 def _check_parts(parts: dict[str, Part], solids: dict[str, Any]) -> None:
-    """Every solid is closed and has its closed-form volume, none intersects another."""
+    """Check that all solids are closed, have their closed-form volume and do not intersect."""
     for name, part in parts.items():
         if crossing(part):
             raise _collision(f"holes and edges of the {name} would meet")
@@ -178,7 +178,7 @@ def _camera_view(design: SensorDesign, optics: Optics) -> bytes | None:
 
 
 def write(files: dict[str, bytes], folder: Path) -> None:
-    """Write all files, or none. Raises InputError when the folder cannot take them."""
+    """Write all files, or none. Raises InputError if the folder is not writable."""
     done: list[Path] = []
     try:
         for name, content in files.items():

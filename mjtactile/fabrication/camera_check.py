@@ -147,7 +147,10 @@ def _range(design: SensorDesign, states: Sequence[MembraneState]) -> tuple[float
 
 
 def blur(design: SensorDesign, hardware: Hardware, stop: float, near: float, far: float) -> float:
-    """Standard deviation px of the blur at both ends of the range, focused between them."""
+    """Return the standard deviation of the blur, px, at both ends of the range.
+
+    The focus is between them, so that both ends are equally blurred.
+    """
     focal = design.camera.fx * hardware.pixel
     focus = 2 * near * far / (near + far)
     disc = focal**2 / (stop * (focus - focal)) * (far - focus) / far
@@ -156,7 +159,7 @@ def blur(design: SensorDesign, hardware: Hardware, stop: float, near: float, far
 
 
 def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, source: str) -> float:
-    """The widest stop that is sharp enough."""
+    """Return the widest stop with a sufficiently sharp image."""
     allowed = design.camera.blur_px
     stops = _STOPS if hardware.f_number is None else (hardware.f_number,)
     blurs = {stop: blur(design, hardware, stop, near, far) for stop in stops}
@@ -181,7 +184,7 @@ def _stop(design: SensorDesign, hardware: Hardware, near: float, far: float, sou
 
 
 def _exposure(design: SensorDesign, hardware: Hardware, near: float) -> float:
-    """The longest exposure, s, in which the nearest marker smears by SMEAR px."""
+    """Return the longest exposure, s, with a motion blur of SMEAR px at the nearest marker."""
     exposure = hw.SMEAR * near / (max(design.camera.fx, design.camera.fy) * hardware.speed)
     Limit(
         "--speed-mm-s",

@@ -58,7 +58,7 @@ def label(group: str, at: tuple[float, float], text: str, size: float) -> Drawin
 
 
 def cross(group: str, x: float, y: float, half: float = 2.0) -> list[DrawingShape]:
-    """A register mark."""
+    """Return a register mark."""
     return [line(group, (x - half, y), (x + half, y)), line(group, (x, y - half), (x, y + half))]
 
 
@@ -83,7 +83,10 @@ def page(
 
 
 def _scale_bars(width: float, height: float) -> list[DrawingShape]:
-    """Bars along both sides, since printers differ in the two: ticks each 10 mm."""
+    """Return scale bars along both sides, with a tick each 10 mm.
+
+    The scale of a printer may differ between the two directions.
+    """
     found = []
     for axis, room in ((0, width - 2 * _BORDER), (1, height - HEAD - FOOT)):
         length = BAR if room >= BAR else 10 * (room // 10)
@@ -152,7 +155,7 @@ def _n(value: float) -> str:
 
 
 def write_pdf(sheets: Sequence[PrintedPage]) -> bytes:
-    """The pages as a PDF, vectors at 1:1."""
+    """Write the pages as a PDF, vectors at 1:1."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
 

@@ -280,7 +280,8 @@ class Layout:
 
 
 def _clear_of(holes: float, tube: float) -> float:
-    """Half size of a tube, from `tube` on, whose wall is not where the camera's screws are."""
+    """Return the half size of a tube, at least `tube`, whose wall avoids the camera's screws,
+    mm."""
     clear = 1.6
     if holes - clear - hw.TUBE_WALL < tube < holes + clear:
         return holes + clear

@@ -55,7 +55,7 @@ class Contour:
         return self.r == self.hx == self.hy
 
     def distance(self, x: float, y: float) -> float:
-        """Signed distance of a point: negative inside."""
+        """Return the signed distance of a point, mm: negative inside."""
         qx = abs(x - self.x) - self.hx + self.r
         qy = abs(y - self.y) - self.hy + self.r
         return math.hypot(max(qx, 0.0), max(qy, 0.0)) + min(max(qx, qy), 0.0) - self.r
@@ -79,7 +79,8 @@ class Contour:
         return edges
 
     def polygon(self, per_quarter: int) -> Array:
-        """Points (n, 2), counter-clockwise; `per_quarter` chords replace a quarter circle."""
+        """Return points (n, 2), counter-clockwise; `per_quarter` chords replace a quarter
+        circle."""
         points = []
         for start, _end, centre in self.edges():
             points.append(start)
@@ -137,7 +138,10 @@ class Traced(Contour):
         return False
 
     def distance(self, x: float, y: float) -> float:
-        """Signed distance of a point: negative inside; outside, beyond a corner, less than it."""
+        """Return the signed distance of a point, mm: negative inside.
+
+        Outside, beyond a corner, it is less than the distance.
+        """
         at = np.array(self.points)
         along = np.roll(at, -1, axis=0) - at
         along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -150,12 +154,12 @@ class Traced(Contour):
         return [(a, b, None) for a, b in zip(at, np.roll(at, -1, axis=0), strict=True)]
 
     def polygon(self, per_quarter: int) -> Array:
-        """Its corners (n, 2)."""
+        """Return the corners (n, 2)."""
         return np.array(self.points)
 
 
 def circle(radius: float, x: float = 0.0, y: float = 0.0) -> Contour:
-    """A circle of `radius` about (x, y)."""
+    """Return a circle of `radius`, mm, about (x, y)."""
     return Contour(radius, radius, radius, x, y)
 
 
@@ -269,5 +273,5 @@ def _may_touch(contour: Contour, other: Contour) -> bool:
 
 
 def plate(low: float, high: float, outer: Contour, holes: Sequence[Contour] = ()) -> Layer:
-    """One plate."""
+    """Return one plate."""
     return Layer(low, high, (Region(outer, tuple(holes)),))

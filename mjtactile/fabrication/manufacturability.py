@@ -33,7 +33,7 @@ class Limit:
     high: float = math.inf
 
     def check(self, source: str) -> None:
-        """Raise InputError where it is not."""
+        """Raise InputError if the value is outside of its limits."""
         slack = 1e-9 * abs(self.value)
         if self.low - slack <= self.value <= self.high + slack:
             return
@@ -55,7 +55,7 @@ def check_all(limits: Iterable[Limit], source: str) -> None:
 
 
 def limits_of(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
-    """Those that need no drawing and no simulation."""
+    """Yield the limits that require no drawing and no simulation."""
     yield from _housing(design)
     yield from _glass(design, hardware)
     yield from _pattern(design, hardware)
@@ -148,7 +148,7 @@ def _lights(design: SensorDesign, hardware: Hardware) -> Iterator[Limit]:
 
 
 def opening_margins(design: SensorDesign) -> tuple[float, float]:
-    """From the outermost markers' edges to the opening's, along x and y, mm."""
+    """Return the distance of the outermost markers' edges from the opening's, along x and y, mm."""
     frame = design.frame
     markers = design.markers
     if frame.outline is not None:

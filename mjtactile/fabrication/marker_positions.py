@@ -246,7 +246,7 @@ def _is_unstable(design: SensorDesign, pressure: float) -> bool:
 
 
 def _pressure_limit(design: SensorDesign) -> float:
-    """The largest gauge pressure, Pa, that the closed form has a height for."""
+    """Return the largest gauge pressure, Pa, at which the closed form gives a height."""
     low = 1.0
     high = design.chamber.supply_gauge
     for _ in range(40):

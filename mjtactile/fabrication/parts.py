@@ -37,12 +37,12 @@ def bolt_holes(layout: Layout) -> list[Contour]:
 
 
 def flange(layout: Layout) -> Contour:
-    """The outline of all that is bolted together."""
+    """Return the outline of all that is bolted together."""
     return Contour(layout.outer_x, layout.outer_y, layout.bolt.head + 1)
 
 
 def mouth(layout: Layout) -> Contour:
-    """The membrane's outline, within the rim."""
+    """Return the membrane's outline, within the rim."""
     return outline_offset(layout, 0.0)
 
 
@@ -57,7 +57,7 @@ def rim_outer(layout: Layout, more: float = 0.0) -> Contour:
 
 
 def outline_offset(layout: Layout, by: float, flat: float = 0.0) -> Contour:
-    """The contour `by` mm outside of the opening's outline."""
+    """Return the contour `by` mm outside of the opening's outline."""
     frame = layout.design.frame
     if layout.is_traced and frame.outline is not None:
         return Traced.around(frame.outline, by, flat)
@@ -80,7 +80,7 @@ def pegs(layout: Layout) -> list[tuple[float, float]]:
 
 
 def _flange_plate(layout: Layout, low: float, high: float, *holes: Contour) -> Layer:
-    """A plate with the flange's outline, `holes`, and those of the bolts."""
+    """Return a plate with the flange's outline, `holes`, and those of the bolts."""
     return plate(low, high, flange(layout), [*holes, *bolt_holes(layout)])
 
 
@@ -92,7 +92,7 @@ def _clamp_ring(layout: Layout) -> Part:
 
 
 def _membrane(layout: Layout) -> Part:
-    """The rubber as mounted: over the opening and down the rim."""
+    """Return the mounted rubber: over the opening and down the rim."""
     top = layout.z_flange + layout.rubber_thickness
     cover = rim_outer(layout, layout.rubber_thickness)
     layers = (
@@ -105,7 +105,7 @@ def _membrane(layout: Layout) -> Part:
 
 
 def _frame(layout: Layout) -> Part:
-    """Block and rim, with the groove behind the lip where fiducials ask for one."""
+    """Return block and rim; fiducials require a groove behind the lip."""
     heights = {layout.z_block, layout.z_flange, 0.0, *(layout.groove or ())[:2]}
     layers = tuple(_frame_layer(layout, low, high) for low, high in pairwise(sorted(heights)))
     bore = Bore(opening(layout), flange(layout), layout.port.radius, 0.0, layout.z_port)
@@ -148,7 +148,7 @@ def _glass_seat(layout: Layout) -> Part:
 
 
 def _camera_mount(layout: Layout) -> Part:
-    """Back plate with the lens's hole, tube, flange."""
+    """Return back plate with the lens's hole, tube and flange."""
     inside = Contour(layout.tube_x, layout.tube_y)
     outside = Contour(layout.tube_x + hw.TUBE_WALL, layout.tube_y + hw.TUBE_WALL, 2.0)
     half = layout.hardware.holes / 2
@@ -171,7 +171,7 @@ def _camera_mount(layout: Layout) -> Part:
 
 
 def led_positions(layout: Layout) -> list[tuple[float, float]]:
-    """Centres of the LEDs, at the angles that the simulator has."""
+    """Return the centers of the LEDs, mm, at the angles of the simulator."""
     radius = 1e3 * layout.design.leds.ring_radius
     count = layout.design.leds.count
     turns = [2 * math.pi * (k + 0.5) / count for k in range(count)]
@@ -183,7 +183,7 @@ def _discs(low: float, high: float, radius: float, centres: list[tuple[float, fl
 
 
 def _led_ring(layout: Layout) -> Part:
-    """The circuit board, and the LEDs as discs on it."""
+    """Return the circuit board, and the LEDs as discs on it."""
     outer = circle(layout.led_outer)
     board = plate(layout.z_plate, layout.z_leds, outer, [circle(layout.led_inner)])
     leds = _discs(layout.z_leds, layout.z_camera, hw.LED_BODY[1] / 2, led_positions(layout))
@@ -192,7 +192,7 @@ def _led_ring(layout: Layout) -> Part:
 
 
 def _camera(layout: Layout) -> Part:
-    """Board and lens barrel."""
+    """Return board and lens barrel."""
     front = layout.z_back - hw.SPACER
     half = layout.hardware.holes / 2 + 2
     board = plate(front - 1.6, front, Contour(half, half, 1.5))
@@ -222,7 +222,8 @@ def _nuts(layout: Layout) -> Part:
 
 
 def _stretch_jig(layout: Layout) -> Part:
-    """Plate around the flange, level with the rim; its pegs hold the stretched membrane."""
+    """Return a plate around the flange, level with the rim; its pegs hold the stretched
+    membrane."""
     x = layout.outer_x
     y = layout.outer_y
     play = hw.CLEARANCE

@@ -48,7 +48,7 @@ def markers(layout: Layout, *, mounted: bool = False) -> list[Contour]:
 
 
 def page_size(layout: Layout) -> tuple[float, float]:
-    """Half sizes, mm, of the rubber to cut, unstretched."""
+    """Return the half sizes, mm, of the rubber to cut, unstretched."""
     stretch = layout.design.membrane.pre_stretch
     edge = 6 + _RUBBER_EDGE
     return (layout.outer_x + edge) / stretch, (layout.outer_y + edge) / stretch
@@ -148,7 +148,7 @@ def fiducial_page(layout: Layout) -> PrintedPage | None:
 
 
 def cut_page(layout: Layout) -> PrintedPage:
-    """The gasket."""
+    """Return the page of the gasket."""
     contours = (flange(layout), opening(layout), *bolt_holes(layout))
     shapes = _outlines("cut", "gasket", contours)
     title = f"{layout.design.name}: gasket"
@@ -181,14 +181,18 @@ def led_page(layout: Layout) -> PrintedPage:
 
 
 def board_of(design: SensorDesign) -> Board:
-    """A board that nearly fills the camera's view of the membrane; squares in steps of 0.5 mm."""
+    """Return a board that nearly fills the camera's view of the membrane.
+
+    Its squares have steps of 0.5 mm.
+    """
     width, height = 2 * design.camera.distance * design.camera.half_view
     square = max(0.5e-3 * math.floor(1.05 * min(width / _COLUMNS, height / _ROWS) / 0.5e-3), 1e-3)
     return Board(_COLUMNS, _ROWS, square, 0.75 * square)
 
 
 def board_page(design: SensorDesign) -> PrintedPage:
-    """The board as vectors: its bitmap, with a rectangle for each run of black pixels in a row."""
+    """Return the page of the board as vectors: a rectangle for each run of black pixels in a
+    row."""
     board = board_of(design)
     cell = MM * board.square / _BOARD_CELLS
     pixels = board.render(_BOARD_CELLS)

@@ -50,19 +50,19 @@ class _File:
         return self.add(f"EDGE_CURVE('',#{first},#{second},#{curve},.T.)")
 
     def line(self, start: Array, end: Array) -> int:
-        """A straight edge."""
+        """Add a straight edge."""
         length = float(np.linalg.norm(end - start))
         vector = self.add(f"VECTOR('',#{self.direction((end - start) / length)},1.)")
         return self._edge(start, end, self.add(f"LINE('',#{self.point(start)},#{vector})"))
 
     def arc(self, start: Array, end: Array, centre: Array, axis: Array, along: Array) -> int:
-        """An edge along a circle, counter-clockwise about `axis`."""
+        """Add an edge along a circle, counter-clockwise about `axis`."""
         radius = _number(float(np.linalg.norm(start - centre)))
         curve = self.add(f"CIRCLE('',#{self.placement(centre, axis, along)},{radius})")
         return self._edge(start, end, curve)
 
     def face(self, surface: int, loops: Sequence[Loop], *, same_sense: bool = True) -> int:
-        """A face; the first of `loops` is its outer bound."""
+        """Add a face; the first of `loops` is its outer bound."""
         bounds = []
         for index, loop in enumerate(loops):
             edges = [
@@ -82,7 +82,7 @@ class _File:
 
 
 def write_step(part: Part) -> str:
-    """The text of a STEP file of `part`, in mm."""
+    """Return the text of a STEP file of `part`, in mm."""
     file = _File()
     faces = [*_sides(file, part), *_levels(file, part)]
     if part.bore:
@@ -100,7 +100,7 @@ def write_step(part: Part) -> str:
 
 
 def _spans(part: Part) -> list[tuple[Contour, bool, float, float]]:
-    """Each side wall: contour, whether material is inside of it, lower and upper height."""
+    """Return each side wall: contour, True for an outer wall, lower and upper height."""
     open_walls: dict[tuple[Contour, bool], float] = {}
     spans = []
     for layer in part.layers:
@@ -113,7 +113,7 @@ def _spans(part: Part) -> list[tuple[Contour, bool, float, float]]:
 
 
 def _roles(layer: Layer | None) -> dict[tuple[Contour, bool], None]:
-    """The contours of a layer, in order, with True for outer ones."""
+    """Return the contours of a layer in order, with True for outer ones."""
     regions = layer.regions if layer is not None else ()
     return dict.fromkeys(
         (contour, contour is region.outer)
@@ -123,7 +123,7 @@ def _roles(layer: Layer | None) -> dict[tuple[Contour, bool], None]:
 
 
 def _ring(file: _File, contour: Contour, z: float) -> list[int]:
-    """The edges of a contour at a height, counter-clockwise."""
+    """Return the edges of a contour at a height, counter-clockwise."""
     return [
         file.line(np.append(start, z), np.append(end, z))
         if centre is None
@@ -133,7 +133,7 @@ def _ring(file: _File, contour: Contour, z: float) -> list[int]:
 
 
 def _sides(file: _File, part: Part) -> Iterable[int]:
-    """Faces of the walls: a plane or a part of a cylinder for each edge of a contour."""
+    """Yield the faces of the walls: a plane or part of a cylinder for each edge of a contour."""
     for contour, outer, low, high in _spans(part):
         bottom = _ring(file, contour, low)
         top = _ring(file, contour, high)
@@ -223,7 +223,7 @@ def _mouths(
 
 
 def _bore_points(bore: Bore, x: float) -> tuple[Array, Array, Array]:
-    """Centre of an end of the bore, and where its two seams begin."""
+    """Return the center of an end of the bore, and the start points of its two seams."""
     centre = np.array([x, bore.y, bore.z])
     return centre, centre + bore.radius * _Y, centre - bore.radius * _Y
 
@@ -234,7 +234,7 @@ def _bore_ring(file: _File, bore: Bore, x: float) -> list[int]:
 
 
 def _bore_faces(file: _File, bore: Bore) -> list[int]:
-    """The bore's wall, in two halves that meet in its seams."""
+    """Return the bore's wall, in two halves that meet in its seams."""
     start, end = bore.ends
     near = _bore_ring(file, bore, start)
     far = _bore_ring(file, bore, end)

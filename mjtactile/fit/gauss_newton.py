@@ -38,11 +38,11 @@ class Scale:
         return min(max(value, self.low), self.high)
 
     def scaled(self, value: float, nominal: float) -> float:
-        """x of a value."""
+        """Return the unknown x of a value."""
         return (value - nominal) / self.unit if self.unit else math.log(value / nominal)
 
     def slope(self, value: float) -> float:
-        """d(value)/dx."""
+        """Return d(value)/dx."""
         return self.unit or value
 
 
@@ -71,7 +71,7 @@ def gauss_newton(
     enough: float = _ENOUGH,
     start: Array | None = None,
 ) -> Solution:
-    """Minimise the sum of squares from `x` within `low` and `high`.
+    """Minimize the sum of squares from `x` within `low` and `high`.
 
     It ends when no step is longer than `enough` sd, or the sum falls no further. A step shorter
     than _NEAR keeps the Jacobian.

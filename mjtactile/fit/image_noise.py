@@ -44,7 +44,7 @@ class ImageNoiseFit:
 
 
 def fit_image_noise(design: SensorDesign, images: Sequence[Image]) -> ImageNoiseFit:
-    """From images of the flat membrane, all of the same scene."""
+    """Fit light, noise and blur to images of the flat membrane, all of the same scene."""
     stack = np.stack([image.pixels for image in images]).astype(np.float32)
     mean = stack.mean(axis=0)
     values = _noise(stack, mean)
@@ -105,7 +105,7 @@ def _light(design: SensorDesign, mean: Array) -> tuple[dict[str, tuple[float, fl
 
 
 def _areas(design: SensorDesign, camera: Camera, size: tuple[int, ...]) -> tuple[Array, Array]:
-    """Masks (H, W) of membrane and of markers, both away from any edge."""
+    """Return masks (H, W) of membrane and of markers, both away from any edge."""
     center = optics.project(camera, design.markers.p_SM - design.camera.p_SC)
     v, u = np.indices(size)
     distance = np.full(size, np.inf)

@@ -140,7 +140,7 @@ def missing(field: str, before: float) -> FittedParameter:
 
 
 def digits(value: float, sd: float) -> str:
-    """With as many decimals as a twentieth of the sd has."""
+    """Format a value with as many decimals as a twentieth of the sd has."""
     if not (math.isfinite(value) and math.isfinite(sd) and sd > 0):
         return f"{value:.6g}"
     return f"{value:.{max(0, 1 - math.floor(math.log10(sd)))}f}"

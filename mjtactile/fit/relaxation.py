@@ -73,7 +73,7 @@ class RelaxationFit:
         )
 
     def to_table(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return the JSON object of the result."""
         return {
             "terms_s": np.column_stack([self.fractions, self.times]).tolist(),
             "within_s": list(self.within),

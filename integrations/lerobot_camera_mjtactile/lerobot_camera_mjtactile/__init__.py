@@ -1,5 +1,5 @@
 # pyright: reportMissingImports=false
-"""`{type: mjtactile}` among a LeRobot robot's cameras: the picture of one finger's membrane."""
+"""`{type: mjtactile}` among a LeRobot robot's cameras: the image of one finger's membrane."""
 
 from lerobot_camera_mjtactile.camera import MjtactileCamera
 from lerobot_camera_mjtactile.config_mjtactile import MjtactileCameraConfig

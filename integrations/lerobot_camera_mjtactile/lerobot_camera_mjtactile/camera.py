@@ -27,7 +27,7 @@ class MjtactileCamera(Camera):
         super().__init__(config)
         self.config = config
         self._driver: Any = None
-        self._seen = -np.inf  # time stamp of the last image returned, s
+        self._returned = -np.inf  # time stamp of the last image returned, s
 
     @property
     def is_connected(self) -> bool:
@@ -35,11 +35,11 @@ class MjtactileCamera(Camera):
 
     @staticmethod
     def find_cameras() -> list[dict[str, Any]]:
-        """None: fingers are listed in rig files, devices by `mjtactile devices`."""
+        """Return no cameras: fingers are listed in rig files, devices by `mjtactile devices`."""
         return []
 
     def connect(self, warmup: bool = True) -> None:
-        """Open the rig file's camera; of a robot in this process, nothing is to be opened."""
+        """Open the rig file's camera; the camera of a robot in this process is open already."""
         if self.is_connected:
             raise ConnectionError(f"the camera of finger {self.config.finger} is open")
         if not self.config.rig:
@@ -51,35 +51,37 @@ class MjtactileCamera(Camera):
             self.read()
 
     def read(self) -> np.ndarray:
-        """The newest picture.
+        """Return the newest image, gray levels (height, width, 3).
 
         Raises:
-            ConnectionError: Not open, or the camera has failed.
+            ConnectionError: The camera is not open, or it has failed.
         """
         image = self._newest()
-        self._seen = image.time
+        self._returned = image.time
         return np.repeat(image.pixels[..., None], 3, axis=2)
 
     def async_read(self, timeout_ms: float = 200) -> np.ndarray:
-        """The newest picture that was not handed out yet; of a robot in this process the newest,
-        since that robot's loop waits for it.
+        """Wait for an image that was not returned yet, and return it.
+
+        For a robot in this process it returns the newest image, since that robot's loop waits for
+        it.
 
         Raises:
-            ConnectionError: Not open, or the camera has failed.
-            TimeoutError: No new picture came in that time.
+            ConnectionError: The camera is not open, or it has failed.
+            TimeoutError: No new image arrived in that time.
         """
         until = time.perf_counter() + timeout_ms / 1e3
-        while self.config.rig and self._newest().time <= self._seen:
+        while self.config.rig and self._newest().time <= self._returned:
             if time.perf_counter() > until:
-                raise TimeoutError(f"no new picture of finger {self.config.finger}")
+                raise TimeoutError(f"no new image of finger {self.config.finger}")
             time.sleep(_PAUSE)
         return self.read()
 
     def read_latest(self, max_age_ms: int = 500) -> np.ndarray:
-        """The newest picture; a driver of ours has none that is old.
+        """Return the newest image; the driver never returns an old one.
 
         Raises:
-            ConnectionError: Not open, or the camera has failed.
+            ConnectionError: The camera is not open, or it has failed.
         """
         return self.read()
 

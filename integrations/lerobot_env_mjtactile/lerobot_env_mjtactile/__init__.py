@@ -1,6 +1,8 @@
 # pyright: reportMissingImports=false
-"""`--env.type=mjtactile`: the grasp environment for lerobot-train and lerobot-eval. LeRobot finds
-environments of others by `--env.discover_packages_path=lerobot_env_mjtactile`."""
+"""`--env.type=mjtactile`: the grasp environment for lerobot-train and lerobot-eval.
+
+LeRobot finds it by `--env.discover_packages_path=lerobot_env_mjtactile`.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ def _features(height: int = 480, width: int = 640) -> dict[str, PolicyFeature]:
 @EnvConfig.register_subclass("mjtactile")
 @dataclass
 class MjtactileEnvConfig(EnvConfig):
-    """Object, sensor and rig are as `mjtactile grasp` has them."""
+    """Settings of the environment; object, sensor and rig are those of `mjtactile grasp`."""
 
     task: str | None = "Grasp-v0"
     fps: int = 30
@@ -87,20 +89,20 @@ class Grasp(gymnasium.Wrapper):
         )
 
     def reset(self, **options: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode."""
-        seen, info = self.env.reset(**options)
-        return _named(seen), info | {"is_success": False}
+        """Start an episode."""
+        observation, info = self.env.reset(**options)
+        return _named(observation), info | {"is_success": False}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """One camera period."""
-        seen, reward, ended, cut, info = self.env.step(action)
+        """Step the simulation by one camera period."""
+        observation, reward, ended, cut, info = self.env.step(action)
         success = {"is_success": info.get("outcome") == "held"}
-        return _named(seen), reward, ended, cut, info | success
+        return _named(observation), reward, ended, cut, info | success
 
 
-def _named(seen: dict[str, Any]) -> dict[str, Any]:
-    shots = [np.repeat(grey[..., None], 3, axis=2) for grey in seen["image"]]
-    return {"agent_pos": seen["wrench"], "pixels": dict(zip(FINGERS, shots, strict=False))}
+def _named(observation: dict[str, Any]) -> dict[str, Any]:
+    shots = [np.repeat(grey[..., None], 3, axis=2) for grey in observation["image"]]
+    return {"agent_pos": observation["wrench"], "pixels": dict(zip(FINGERS, shots, strict=False))}
 
 
 gymnasium.register("lerobot_env_mjtactile/Grasp-v0", entry_point="lerobot_env_mjtactile:Grasp")

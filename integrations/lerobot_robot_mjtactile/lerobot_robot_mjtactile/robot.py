@@ -56,9 +56,9 @@ class MjtactileRobot(Robot):
             rig=config.rig, object=config.object, sensor=config.sensor, seed=config.seed
         )
         self._others = make_cameras_from_configs(config.cameras)
-        self._pictured = list(config.fingers) if config.images else []
+        self._imaged = list(config.fingers) if config.images else []
         # LeRobot counts them, for its threads that write images
-        self.cameras = dict.fromkeys(self._pictured) | self._others
+        self.cameras = dict.fromkeys(self._imaged) | self._others
         self._stack = ExitStack()
         self._steps: Any = None
 
@@ -68,7 +68,7 @@ class MjtactileRobot(Robot):
         fingers and the other cameras."""
         camera = self.scenario.design().camera
         names = mjtactile.policy_observation_names(len(self.config.fingers))
-        images = dict.fromkeys(self._pictured, (camera.height, camera.width, 3))
+        images = dict.fromkeys(self._imaged, (camera.height, camera.width, 3))
         others = {name: (one.height, one.width, 3) for name, one in self._others.items()}
         return {**dict.fromkeys(names, float), **images, **others}
 
@@ -86,13 +86,13 @@ class MjtactileRobot(Robot):
         return True
 
     def calibrate(self) -> None:
-        """Nothing: `mjtactile calibrate` does."""
+        """Do nothing: calibrations are made by `mjtactile calibrate`."""
 
     def configure(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Open the rig, and let each sensor take its references: nothing may touch."""
+        """Open the rig and take the references of each sensor; no object may touch them."""
         session = self._stack.enter_context(mjtactile.open_session(self.scenario, workers=0))
         names = [finger.name for finger in session.rig.fingers]
         if names != list(self.config.fingers):
@@ -113,20 +113,20 @@ class MjtactileRobot(Robot):
 
     def get_observation(self) -> dict[str, Any]:
         """Wait for the next images, and estimate touch from them."""
-        seen = self._steps.observe()
-        _latest[:] = [seen]
+        observation = self._steps.observe()
+        _latest[:] = [observation]
         _images.update(zip(self.config.fingers, self._steps.images, strict=True))
         names = mjtactile.policy_observation_names(len(self.config.fingers))
-        values = mjtactile.policy_observation(seen)
+        values = mjtactile.policy_observation(observation)
         found: dict[str, Any] = dict(zip(names, map(float, values), strict=True))
-        for finger in self._pictured:
+        for finger in self._imaged:
             found[finger] = np.repeat(_images[finger].pixels[..., None], 3, axis=2)
         for name, camera in self._others.items():
             found[name] = camera.async_read()
         return found
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Ask for an opening, a force limit and a height; the rig's limits cut them."""
+        """Request an opening, a force limit and a height; the rig's limits apply."""
         requested = mjtactile.Command(
             opening=float(action["opening_m"]),
             force_limit=float(action["force_limit_N"]),

@@ -139,7 +139,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
             f"{100 * report['scale_sd']:.2f} % from one image",
         ]
     if "fiducials" in report:
-        lines.append(f"  {report['fiducials']} fiducials seen; their positions are stored")
+        lines.append(f"  {report['fiducials']} fiducials detected; their positions are stored")
     if report.get("rest_stiffness_scale") is not None:
         stiffer = 100 * (report["rest_stiffness_scale"] - 1)
         lines.append(f"  at rest the membrane is {stiffer:+.1f} % stiffer than in the sensor file")

@@ -100,7 +100,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(options: argparse.Namespace) -> tuple[Any, Any]:
-    """Openings and forces from the files that were given; None: no such file."""
+    """Read openings and forces from the given files; None: no such file."""
     from mjtactile.calibrate.result_io import read_columns
 
     openings = None
@@ -147,8 +147,10 @@ def _live(options: argparse.Namespace) -> tuple[Any, Any]:
 
 
 def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
-    """Lowest and highest opening, m, to move to. Raises InputError where they are too near, or
-    beyond the gripper's."""
+    """Return the minimum and maximum opening, m, of the motion.
+
+    Raises InputError if they are too close, or beyond the gripper's range.
+    """
     minimum, maximum = config.opening
     low, high = (minimum + part * (maximum - minimum) for part in _OPENING_PARTS)
     if options.range:
@@ -163,8 +165,7 @@ def _range(options: argparse.Namespace, config: Any) -> tuple[float, float]:
 
 
 def _force_max(options: argparse.Namespace, config: Any) -> float:
-    """The largest force, N, to squeeze with. Raises InputError for one that the rig does not
-    allow."""
+    """Return the maximum squeezing force, N. Raises InputError if the rig does not allow it."""
     maximum = 0.5 * config.force_max if options.force is None else options.force
     if not 0 < maximum <= config.force_max:
         raise InputError(
@@ -175,7 +176,10 @@ def _force_max(options: argparse.Namespace, config: Any) -> float:
 
 
 def _instruments(emulator: Any) -> tuple[Instrument, Instrument]:
-    """Caliper, mm, and load cell, N: a person reads them, or they are the emulated world's."""
+    """Return the caliper, mm, and the load cell, N.
+
+    The user reads them; on an emulated rig the emulated world provides them.
+    """
     if emulator is None:
         return ask, ask
     return lambda _: 1e3 * emulator.truth()["opening"], lambda _: emulator.truth()["grip_force"]

@@ -28,7 +28,7 @@ def arguments(live: str, *, finger: str | None = None) -> tuple[arg.Argument, ..
 
 
 def find_targets(options: argparse.Namespace) -> list[OutputFile]:
-    """The files that the options name, each read once to see that it fits. Raises InputError."""
+    """Return the files that the options name; each is read once as a check. Raises InputError."""
     targets = _find_targets(options.rig, options.finger, options.sensor, options.out)
     if options.source is not None and len(targets) > 1:
         raise InputError("a recorded SOURCE belongs to one finger: name it", field="--finger")

@@ -86,8 +86,7 @@ def ask(text: str) -> float | None:
 
 
 def check_folder(path: Path, field: str = "--out") -> Path:
-    """Refuse an output file whose folder is not there, before any work is done. Raises
-    InputError."""
+    """Raise InputError if the folder of an output file does not exist, before any work."""
     if not foreign_file.is_dir(path.parent):
         raise InputError("the folder does not exist", source=path.parent, field=field)
     return path

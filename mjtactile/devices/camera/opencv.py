@@ -49,7 +49,7 @@ class Capture(Protocol):
 
 
 _FLIPS = {"left-right": 1, "top-bottom": 0, "both": -1}
-"""`CameraConfig.flipped` as OpenCV has it."""
+"""Flip codes of OpenCV for `CameraConfig.flipped`."""
 
 
 @dataclass

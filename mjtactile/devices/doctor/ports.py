@@ -1,4 +1,4 @@
-"""A serial port: whether it is there, may be used, and is quick."""
+"""Checks of a serial port: existence, permission and latency."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Reply:
     alert: bool
 
     def value(self, offset: int, size: int) -> int:
-        """Unsigned little-endian value of `size` bytes at `offset`."""
+        """Return the unsigned little-endian value of `size` bytes at `offset`."""
         return int.from_bytes(self.data[offset : offset + size], "little")
 
 
@@ -117,13 +117,16 @@ class DynamixelBus:
             return self._exchange(servo, [3, *_bytes_of_word(address), *data], reply=0).alert
 
     def reboot(self, servo: int) -> None:
-        """Restart one servo: its torque is off afterwards and its latched hardware error gone. A
-        person must ask for it."""
+        """Restart one servo, only on the user's request.
+
+        The torque is off afterwards, and a latched hardware error is cleared.
+        """
         with self._transaction(servo):
             self._exchange(servo, [8], reply=0)
 
     def write_many(self, address: int, blocks: Mapping[int, bytes]) -> None:
-        """Sync write: the same registers of several servos in one packet, without a reply."""
+        """Write the same registers of several servos in one packet, without a reply (sync
+        write)."""
         size = len(next(iter(blocks.values())))
         parameters = [byte for servo, data in blocks.items() for byte in (servo, *data)]
         with self._transaction(None):
@@ -220,7 +223,7 @@ class DynamixelBus:
 
     @staticmethod
     def _length(packet: Sequence[int]) -> int:
-        """Bytes of parameters in a status packet."""
+        """Return the number of parameter bytes in a status packet."""
         return (packet[_LENGTH] | packet[_LENGTH + 1] << 8) - 4
 
     def _parse(self, servo: int, packet: Sequence[int], expected: int) -> Reply:
@@ -241,7 +244,7 @@ class DynamixelBus:
     def _receive_each(
         self, servos: Sequence[int], size: int
     ) -> tuple[dict[int, Reply], dict[int, BusError]]:
-        """One status packet a servo, in any order; the time-out is for all of them."""
+        """Receive one status packet per servo, in any order, within a common timeout."""
         replies: dict[int, Reply] = {}
         failures: dict[int, BusError] = {}
         while len(replies) + len(failures) < len(servos):

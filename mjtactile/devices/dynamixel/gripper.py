@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 # goal current, velocity, profile acceleration, profile velocity, goal position: one block
 _GOAL_START = 102
 _LEAD_TIME = 0.1  # maximum lead of a closing jaw's goal, s at the largest speed
-# questions in a row without a servo's reply before it counts as lost: one cycle of two, and another
+# unanswered queries in a row before a servo counts as lost: one cycle of two, and another
 _FAILURES_MAX = 3
 _FIRST_FORCE_FRACTION = 0.25  # fraction of the largest force until a command sets another limit
 _SILENCE_IDLE = 30.0  # allowed silence before the first command, s (references are being taken)
@@ -237,7 +237,7 @@ class DynamixelGripper:
         return None
 
     def _current_limit(self, servo: Servo) -> int:
-        """The largest goal current that it will ever be given."""
+        """Return the maximum goal current of a servo in model units."""
         if servo.id in self._jaws:
             jaw = next(j for j in self.geometry.servos if j.config.id == servo.id)
             low, high = (limit / len(self._jaws) for limit in self.config.opening)
@@ -257,7 +257,7 @@ class DynamixelGripper:
     # -- every cycle
 
     def _request_all(self) -> None:
-        """Ask all servos in one transaction, unless they have been asked and not been heard."""
+        """Request the state of all servos in one transaction, unless a request is pending."""
         if self._asked is None:
             self._bus_time = asked = scaled_clock.monotonic()
             self.bus.request_many(
@@ -284,7 +284,7 @@ class DynamixelGripper:
         self._state_time = self._state_time if lost or asked is None else asked
 
     def _reread(self, servo: Servo, error: BusError) -> bool:
-        """A servo's reply was lost or damaged: ask it alone, once; whether it answered."""
+        """Query a servo again, once, after a lost or damaged reply; return True if it answered."""
         servo.failures = servo.failures + 1
         servo.last_failure = error.reason
         if servo.failures >= _FAILURES_MAX:

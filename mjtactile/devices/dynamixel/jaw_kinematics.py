@@ -46,7 +46,7 @@ class JawServo:
         return self.law.slope(self._angle(ticks))
 
     def closing_force(self, current: float, ticks: float) -> float:
-        """Force with which `current` A closes this servo's jaw, N."""
+        """Return the force, N, with which `current`, A, closes this servo's jaw."""
         return -current * self.torque_per_A / self.slope(ticks)
 
     def current_units(self, force: float, ticks: float) -> int:
@@ -133,7 +133,7 @@ class JawGeometry:
 
 
 def find_model(name: str, source: str, field: str) -> ServoModel:
-    """The model of that name. Raises InputError with the choices."""
+    """Return the servo model of that name. Raises InputError with the choices."""
     if name not in MODELS:
         raise InputError(
             f"{name!r} is unknown or cannot limit its force",

@@ -19,7 +19,7 @@ _WRITE_TIME = 0.5
 
 
 class Port(PortHandler):
-    """The SDK's port: exclusive, monotonic, with its own time-out, waiting without spinning."""
+    """Serial port of the SDK with exclusive access, monotonic timeouts and waiting without load."""
 
     def __init__(self, name: str, reply_timeout: float):
         super().__init__(name)

@@ -64,7 +64,7 @@ _TRIPPED = "bus watchdog (the host was silent for too long)"
 
 @dataclass
 class Servo:
-    """One servo as last heard of, and the transactions with it alone."""
+    """Last reported state of one servo, and the transactions with it alone."""
 
     bus: DynamixelBus
     id: int
@@ -197,14 +197,14 @@ class Servo:
         self.set_watchdog(WATCHDOG_IDLE)
 
     def set_watchdog(self, seconds: float) -> None:
-        """Silence on the bus after which the servo stops by itself."""
+        """Set the duration of silence on the bus, s, after which the servo stops by itself."""
         self.watchdog_units = max(1, round(seconds / WATCHDOG_UNIT))
         self.set("Bus Watchdog", self.watchdog_units)
 
     # -- every cycle
 
     def accept(self, reply: Reply) -> None:
-        """Note one reply to a read of the state block."""
+        """Store one reply to a read of the state block."""
         self.failures = 0
         self.current = signed(reply.value(0, 2), 2) * self.model.ampere_per_unit
         self.rad_per_s = signed(reply.value(2, 4), 4) * VELOCITY_UNIT
@@ -215,7 +215,7 @@ class Servo:
             self.note_alert()
 
     def note_alert(self) -> None:
-        """The alert bit is set: ask at once which error it is."""
+        """Query the hardware error as soon as the alert bit is set."""
         try:
             text = describe_hardware_error(self.get("Hardware Error Status"))
         except BusError as error:

@@ -146,6 +146,6 @@ def signed(value: int, size: int) -> int:
 
 
 def describe_hardware_error(bits: int) -> str:
-    """The set bits of Hardware Error Status in words."""
+    """Describe the set bits of Hardware Error Status in words."""
     names = [HARDWARE_ERRORS.get(i, f"bit {i}") for i in range(8) if bits >> i & 1]
     return " and ".join(names) or "alert without a reason"

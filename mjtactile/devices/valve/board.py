@@ -56,9 +56,11 @@ class ValveReading:
 
 
 class ValveBoard:
-    """One board with one or more channels. Raises DeviceError when it is not there, another one, or
-    does not obey. Chambers stay sealed for `hold` s beyond the heartbeat's time, and then vent
-    slowly."""
+    """One board with one or more channels.
+
+    Chambers stay sealed for `hold` s beyond the heartbeat's time, and then vent slowly. Raises
+    DeviceError for a missing, different or unresponsive board.
+    """
 
     def __init__(self, configs: Sequence[ValveConfig], hold: float = 0.0):
         first = configs[0]
@@ -97,12 +99,12 @@ class ValveBoard:
     # -- interface for the valves
 
     def set(self, channel: int, pressure: float) -> None:
-        """Regulate to `pressure` Pa (without a sensor: open to the supply). Raises DeviceError."""
+        """Regulate to `pressure`, Pa; without a sensor, open to the supply. Raises DeviceError."""
         self._forget_aim(channel)
         self._command(f"set {channel} {round(pressure)}", channel)
 
     def seal(self, channel: int) -> None:
-        """Close both valves. Raises DeviceError when the board does not obey."""
+        """Close both valves. Raises DeviceError if the board does not confirm."""
         self._forget_aim(channel)
         self._command(f"seal {channel}", channel)
 
@@ -139,7 +141,7 @@ class ValveBoard:
         return reading
 
     def measure(self, channel: int, timeout: float | None = None) -> ValveReading:
-        """Query the board within `disk_wait_time` s (None: a command's time)."""
+        """Query the board within `timeout` s (None: a command's time)."""
         with self._lock:
             self._last_call = scaled_clock.monotonic()
             return self._with_retry(lambda: self._read(channel, timeout))
@@ -213,8 +215,10 @@ class ValveBoard:
                 )
 
     def _set_up(self) -> None:
-        """Vent, largest pressure of each channel, heartbeat; each is repeated by the board, or it
-        is refused."""
+        """Vent, and set the maximum pressure of each channel and the heartbeat.
+
+        The board repeats each setting; otherwise it is refused.
+        """
         for channel, config in self._configs.items():
             if not self.has_sensors and config.supply_gauge is None:
                 raise InputError(
@@ -258,8 +262,10 @@ class ValveBoard:
         return act()
 
     def _ask(self, text: str, timeout: float | None = None) -> str:
-        """The text of the answer to one command, within `disk_wait_time` s (None: a command's).
-        Raises DeviceError."""
+        """Send a command and return the text of the answer. Raises DeviceError.
+
+        It waits for `timeout` s (None: a command's time).
+        """
         with self._lock:
             self._sequence = (self._sequence + 1) % protocol.SEQUENCES
             try:
@@ -320,7 +326,7 @@ class ValveBoard:
         return reading
 
     def _heartbeat_loop(self) -> None:
-        """The heartbeat: read all channels while the loop lives."""
+        """Read all channels repeatedly while the control loop calls."""
         while not self._closed.is_set():
             self._wake.wait(_RETRY_TIME if 0 < self._failures < _FAILURES_MAX else self._interval)
             self._wake.clear()
@@ -370,7 +376,7 @@ class _NoReply(DeviceError):
 
 
 def open_port(port: str, baud: int) -> serial.SerialBase:
-    """Open a device or a pyserial URL (`socket://`, `rfc2217://`), alone where that can be had."""
+    """Open a device or a pyserial URL (`socket://`, `rfc2217://`), exclusively if possible."""
     options: dict[str, Any] = {} if "://" in port else {"exclusive": True}
     try:
         return serial.serial_for_url(

@@ -26,13 +26,13 @@ FAULTS = {
     "sensor": "its pressure sensor failed",
     "pressure": "its pressure was too high",
 }
-"""Why a channel vented by itself."""
+"""Reasons of a channel that vented by itself."""
 _LINE = re.compile(rb"([0-9]{1,5}) ([ -)+-~]+)\*([0-9A-F]{8})")
 _HEAD = re.compile(rb"[0-9]{1,5} [ -)+-~]+")
 
 
 def encode(sequence: int, text: str) -> bytes:
-    """A whole line."""
+    """Return a whole line."""
     body = f"{sequence} {text}".encode("ascii")
     assert _HEAD.fullmatch(body) and len(body) + 9 <= LONGEST, body
     return body + b"*%08X\n" % zlib.crc32(body)

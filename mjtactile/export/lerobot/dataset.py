@@ -1,4 +1,4 @@
-"""Writes a LeRobot data set: `write`."""
+"""Writer of LeRobot data sets: `write`."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _episode(
     features: Mapping[str, Feature],
     videos: Mapping[str, VideoFile],
 ) -> tuple[dict[str, list[Any]], dict[str, Any]]:
-    """The columns of one episode, and its statistics."""
+    """Return the columns of one episode, and its statistics."""
     block: dict[str, list[Any]] = {
         key: [] for key, feature in features.items() if feature.dtype != "video"
     }
@@ -190,7 +190,7 @@ def _episode_row(
 
 
 def _keep_files(out: Path, index: int, episode: RecordedEpisode) -> None:
-    """Sensor, rig and calibration files, and the images of the references."""
+    """Write sensor, rig and calibration files, and the images of the references."""
     folder = out / "references" / f"episode-{index:06d}"
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in episode.files.items():
@@ -243,7 +243,7 @@ def _write_meta(
 
 
 def _write_tasks(path: Path, tasks: Sequence[str]) -> None:
-    """The table of tasks, whose index is their text, as pandas writes it."""
+    """Write the table of tasks, whose index is their text, in the format of pandas."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -58,7 +58,7 @@ class Feature:
 
 
 def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
-    """The columns that `episode` gives."""
+    """Return the columns of an episode."""
     wrench = [f"{finger}.{name}" for finger, name in product(episode.fingers, _WRENCH)]
     found = {
         "observation.state": Feature("float32", [*_STATE.values(), *wrench], _state),
@@ -115,7 +115,8 @@ def _result_columns(episode: RecordedEpisode) -> dict[str, Feature]:
 
 
 def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
-    """Each camera's images, as large as its first; none where they are left out."""
+    """Return the columns of each camera's images, in the size of its first; empty without
+    images."""
     kind, channels = IMAGES[images]
     if not kind:
         return {}

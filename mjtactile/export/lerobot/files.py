@@ -19,7 +19,7 @@ FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 
 
 class DataFiles:
-    """The parquet files of frames, a row group an episode, and a new file where one is full."""
+    """The parquet files of frames: one row group per episode, and a new file after a full one."""
 
     def __init__(self, out: Path, features: Mapping[str, Feature]):
         import pyarrow as pa
@@ -49,7 +49,7 @@ class DataFiles:
         self._writer: Any = None
 
     def add(self, block: Mapping[str, Any]) -> tuple[int, int]:
-        """Chunk and file in which the episode now is."""
+        """Append an episode, and return its chunk and file."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
