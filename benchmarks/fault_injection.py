@@ -84,6 +84,7 @@ KINDS = (
         "rejected within the limits; this process never has the memory",
         (
             "tests/unit/sim/test_mjcf.py",
+            "tests/unit/sim/test_meshes.py",
             "tests/unit/core/test_foreign_file.py",
             "tests/unit/core/test_image_decoding.py",
             "tests/unit/core/test_policy_file.py",

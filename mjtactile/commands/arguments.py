@@ -31,7 +31,10 @@ class Argument:
     settings: dict[str, Any]
 
     def add_to(self, parser: Any) -> None:
-        parser.add_argument(*self.names, **self.settings)
+        settings = self.settings
+        if settings.get("type") is Path:
+            settings = settings | {"type": path}
+        parser.add_argument(*self.names, **settings)
 
 
 @dataclass(frozen=True)
@@ -157,6 +160,13 @@ def _reader(convert: Callable[[str], Any], low: float, high: float, above: bool)
 
 
 POSITIVE = number(0, above=True)
+
+
+def path(text: str) -> Path:
+    """Read a path; an empty one, such as that of an unset shell variable, is the working folder."""
+    if not text:
+        raise argparse.ArgumentTypeError("is empty, not a path")
+    return Path(text)
 
 
 def pair(text: str) -> tuple[float, float]:

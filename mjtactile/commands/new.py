@@ -108,6 +108,8 @@ def run(options: argparse.Namespace) -> int:
     template = options.template or kind.template
     random = _random(template) if options.kind == "object" else None
     source = Path(template) if random else _shipped(kind, template)
+    if not options.name.name:
+        raise InputError("is a folder, not the name of a new file", source=options.name)
     if options.name.suffix == kind.suffix:
         path = options.name
     else:

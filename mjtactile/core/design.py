@@ -16,7 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core import optics, resources
-from mjtactile.core.config_fields import ML, MM, file_path, part, read, text, write_fields
+from mjtactile.core.config_fields import (
+    ML,
+    MM,
+    file_path,
+    from_table,
+    part,
+    read,
+    text,
+    write_fields,
+)
 from mjtactile.core.errors import InputError
 from mjtactile.core.fiducials import Fiducials
 from mjtactile.core.relaxation import Relaxation
@@ -210,6 +219,18 @@ def load_sensor(name_or_path: str | Path | SensorDesign) -> SensorDesign:
     path = resources.find(name_or_path, "models/sensors", ".toml")
     table, source_text = read_toml_with_text(path)
     return _with_text(sensor_from_table(table, name=path.stem, source=str(path)), source_text)
+
+
+def require_valid(design: SensorDesign) -> None:
+    """Check a sensor's values as those of a file. Raises InputError."""
+    for name, value in vars(design).items():
+        if value is None and name not in ("fiducials", "relaxation", "calibration"):
+            raise InputError("is None", source="SensorDesign", field=name)
+    try:
+        from_table(SensorDesign, write_fields(design), "SensorDesign")
+    except (TypeError, AttributeError) as error:
+        message = f"a value has a wrong type: {error}"
+        raise InputError(message, source="SensorDesign") from error
 
 
 def sensor_from_text(content: str, *, name: str, source: str) -> SensorDesign:

@@ -68,7 +68,7 @@ class Number(Entry):
     def write(self, value: Any) -> dict[str, Any]:
         if value is None or self.integer:
             return {self.key: value}
-        return {self.key: in_unit(value, self.unit)} if math.isfinite(value) else {}
+        return {} if math.isinf(value) else {self.key: in_unit(value, self.unit)}
 
 
 @dataclass(frozen=True, kw_only=True)

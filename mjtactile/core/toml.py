@@ -237,6 +237,8 @@ class Section:
             return default
         if not isinstance(value, str) or not (value or empty):
             raise self.fail(key, f"{value!r} is not text", choices)
+        if "\0" in value:  # neither a file nor an element of MuJoCo can have this name
+            raise self.fail(key, f"{value!r} contains a null character", choices)
         if choices is None or value in (choices := list(choices)):
             return value
         if (renamed := VALUES.get(key, {}).get(value)) in choices:

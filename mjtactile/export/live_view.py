@@ -240,7 +240,11 @@ def _parsed(target: str) -> tuple[str, Path | str]:
         raise InputError(
             f"{viewer}-sdk is not installed: pip install 'mjtactile[live]'", field="--live"
         )
-    if not where or where.startswith("rerun+") or viewer == "foxglove" and where.isdecimal():
+    if not where or where.startswith("rerun+"):
+        return viewer, where
+    if viewer == "foxglove" and where.isdecimal():
+        if int(where[:6]) > 65535:
+            raise InputError(f"port {where[:20]} is not from 0 to 65535", field="--live")
         return viewer, where
     path = Path(where)
     suffix = {"rerun": ".rrd", "foxglove": ".mcap"}[viewer]

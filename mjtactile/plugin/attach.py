@@ -26,7 +26,7 @@ from typing import Any
 
 import mujoco
 
-from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.design import SensorDesign, load_sensor, require_valid
 from mjtactile.core.errors import InputError
 from mjtactile.core.signature_checks import above, not_below, validated
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
@@ -120,6 +120,7 @@ def attach(
             them).
     """
     design = load_sensor(sensor)
+    require_valid(design)
     if mesh is not None and min(mesh) < _MIN_MESH:
         raise InputError(
             f"{mesh} vertices give a bulge that sensing rejects as disturbed; at least "

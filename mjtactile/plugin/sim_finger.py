@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
@@ -28,6 +30,7 @@ from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.checked_stepper import Stepper
 from mjtactile.sim.devices import SimClock, SimValve
 from mjtactile.sim.fast_step import advance
+from mjtactile.sim.finite_model import require_finite
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor import carrier_geoms
 from mjtactile.sim.sensor.collision_rule import apply_collision_rule, contact_notes
@@ -127,7 +130,9 @@ class SimFinger(NotCopyable):
     ):
         if data.model is not model:
             raise InputError("is not the data of this model", source="bind", field="data")
+        require_finite(model, "bind", "model")
         self._membrane = membrane
+        self._lock = threading.Lock()
         self._model = model
         self._data = data
         sequence = np.random.SeedSequence([seed, *membrane.prefix.encode()])
@@ -135,6 +140,7 @@ class SimFinger(NotCopyable):
         prefix = membrane.prefix
         self._outputs = [_address(model, prefix + name, size) for name, size in OUTPUTS.items()]
         carrier = int(model.body(prefix + BODY).id)
+        _require_own_place(model, carrier)
         apply_collision_rule(model, carrier)
         self.reset()
         reached = carrier_geoms.carrier_geoms(model, data, self.sensor)
@@ -272,6 +278,24 @@ class SimFinger(NotCopyable):
                     field=f"option.{name}",
                 )
 
+    @contextmanager
+    def exclusive(self) -> Iterator[None]:
+        """Reserve the finger for one thread at a time.
+
+        Yields:
+            None.
+
+        Raises:
+            InputError: Another thread steps the scene.
+        """
+        if not self._lock.acquire(blocking=False):
+            message = "is stepped by another thread; step a scene in one thread at a time"
+            raise InputError(message, source=f"finger {self.name!r}")
+        try:
+            yield
+        finally:
+            self._lock.release()
+
     def before_step(self) -> None:
         """Bring the gas up to the present state; for those who call `mj_step` themselves, right
         before it.
@@ -325,7 +349,7 @@ class SimFinger(NotCopyable):
     def _require_time(self, slack: float = 0.0) -> None:
         """Raise InputError unless this finger has gone with the scene, up to `slack` s."""
         now = float(self._data.time)
-        if now < self._time:
+        if not now >= self._time:  # also NaN
             raise InputError(
                 f"time decreased from {self._time:g} to {now:g} s: call reset() of every "
                 "finger after mj_resetData",
@@ -356,7 +380,8 @@ def step(
 
     Raises:
         InputError: The scene was stepped or reset without a finger, a finger is given twice or
-            bound to another model or other data, or an option was changed after `bind`.
+            bound to another model or other data, an option was changed after `bind`, or another
+            thread steps the scene.
         SimulationError: The state is no longer reliable.
     """
     for finger in fingers:
@@ -365,12 +390,15 @@ def step(
     if len(set(names)) < len(names):
         text = f"each finger must be given once, not {', '.join(names)}"
         raise InputError(text, source="step", field="fingers")
-    for _ in range(nstep):
+    with ExitStack() as stack:
         for finger in fingers:
-            finger.before_step()
-        advance(model, data)
-        for finger in fingers:
-            finger.after_step()
+            stack.enter_context(finger.exclusive())
+        for _ in range(nstep):
+            for finger in fingers:
+                finger.before_step()
+            advance(model, data)
+            for finger in fingers:
+                finger.after_step()
 
 
 def _options(model: mujoco.MjModel) -> tuple[float, ...]:
@@ -379,6 +407,17 @@ def _options(model: mujoco.MjModel) -> tuple[float, ...]:
     values = [getattr(option, name) for name in _OPTIONS]
     values[-1] &= NEEDED_FLAGS  # others, such as autoreset, may change
     return tuple(values)
+
+
+def _require_own_place(model: mujoco.MjModel, carrier: int) -> None:
+    """Raise InputError if another sensor is attached at the same place as this `carrier`."""
+    poses = np.c_[model.body_parentid, model.body_pos, model.body_quat]
+    for other in np.flatnonzero((poses == poses[carrier]).all(axis=1)):
+        name = model.body(other).name
+        sensor = f"{name.removesuffix(BODY)}wrench"
+        if other != carrier and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, sensor) >= 0:
+            message = f"{name!r} is at the same place: attach each sensor to its own site"
+            raise InputError(message, source="bind", field="model")
 
 
 def _address(model: mujoco.MjModel, name: str, size: int) -> slice:

@@ -160,6 +160,12 @@ class CameraConfig:
     sensor: str | None = file_path("sensor", shipped=True)
     calibration: Path | None = file_path("calibration")
 
+    def validate(self, section: Section) -> None:
+        """Check that `fourcc` consists of four characters, which the driver requires."""
+        code = self.fourcc
+        if code is not None and not (len(code) == 4 and code.isascii() and code.isprintable()):
+            raise section.fail("fourcc", f"{code!r} is not a code of four characters such as MJPG")
+
 
 @dataclass(frozen=True)
 class ValveConfig:
@@ -271,9 +277,18 @@ class RigFile:
             requested = list(FINGERS[: len(fingers)])
             if fingers != requested:
                 raise section.fail(key, f"fingers {fingers} should be {requested}, in this order")
+            if len({_connection(device) for device in devices}) < len(devices):
+                raise section.fail(key, f"two fingers have the same {key}")
         if self.valves and len(self.valves) != len(self.cameras):
             message = f"{len(self.valves)} valves for {len(self.cameras)} cameras"
             raise section.fail("valve", message)
+
+
+def _connection(device: CameraConfig | ValveConfig) -> object:
+    """Return the values that distinguish a device from others; of an emulated camera its finger."""
+    if isinstance(device, ValveConfig):
+        return device.port, device.channel
+    return device.finger if device.source == "emulator" else device.source
 
 
 def read_rig_file(name_or_path: str | Path) -> RigFile | SimRigFile:

@@ -64,6 +64,8 @@ class SimFingerConfig:
         if "/" in self.name:
             message = f"{self.name!r} contains a slash, which separates names in a simulated scene"
             raise section.fail("name", message)
+        if not self.name.isprintable():
+            raise section.fail("name", f"{self.name!r} contains a control character")
 
 
 @dataclass(frozen=True)

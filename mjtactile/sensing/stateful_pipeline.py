@@ -27,6 +27,9 @@ class StatefulPipeline:
         state: Initial state; None: the state before any measurement.
         contact_shapes: True if every touch gets its `shape`; docs/reference/effects.md lists the
             cost.
+
+    Raises:
+        InputError: The state is of another sensor.
     """
 
     def __init__(
@@ -36,6 +39,13 @@ class StatefulPipeline:
         *,
         contact_shapes: bool = False,
     ):
+        count = pipeline.design.markers.count
+        if state is not None and len(state.expected) != count:
+            raise InputError(
+                f"is of another sensor: {len(state.expected)} markers, not {count}",
+                source="StatefulPipeline",
+                field="state",
+            )
         self.pipeline = pipeline
         self.state = pipeline.initial_state() if state is None else state
         self.contact_shapes = contact_shapes

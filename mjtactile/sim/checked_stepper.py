@@ -37,6 +37,12 @@ class Stepper:
         self._sensors = tuple(sensors)
         self._qpos = data.qpos  # live views
         self._qvel = data.qvel
+        # a membrane with a NaN among these reports no contact
+        self._inputs = {
+            "mocap_pos": data.mocap_pos,
+            "mocap_quat": data.mocap_quat,
+            "option.gravity": model.opt.gravity,
+        }
         self._warnings = data.warning.number
         self._old_warnings = int(self._warnings.sum())
         self._monitor = SceneMonitor(model, data, self._sensors)
@@ -125,6 +131,9 @@ class Stepper:
                 self.update_flags(urgent)
 
     def _check(self) -> None:
+        for name, values in self._inputs.items():
+            if not np.isfinite(values).all():
+                self._stop(f"{name} is not finite")
         flags, checked, reason = self._monitor.check()
         if min(self._unsolved) > 0.5 * self._check_every:
             flags["solver"] = (

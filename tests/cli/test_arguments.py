@@ -63,6 +63,12 @@ def test_the_value_is_what_was_written(words, name, value):
     assert getattr(PARSER.parse_args(words), name) == value
 
 
+def test_an_empty_path_is_refused():
+    """That of an unset shell variable would be the working folder."""
+    with pytest.raises(_UsageError, match="--out: is empty, not a path"):
+        PARSER.parse_args(["grasp", "--out", ""])
+
+
 def test_the_help_names_each_default():
     silent = [
         (words, action.dest)

@@ -63,6 +63,12 @@ CASES = {
     "no body named object": bad_object('"object"', '"egg"', "'object'"),
     "no free joint": bad_object("<freejoint/>", "", "free joint"),
     "no break force": bad_object("break_force_N", "strength", "break_force_N"),
+    "position not a number": bad_object('"0 0 0.0315"', '"0 nan 0"', "pos of body 'object' is nan"),
+    "friction not a number": bad_object(
+        'name="shell" friction="0.3',
+        'name="shell" friction="nan',
+        "friction of geom 'shell' is nan",
+    ),
     "unknown material": bad_object('"solid"', '"stone"', "material", "stone", "soft"),
     "wider than the jaws open": bad_object(
         "0.016 0.016 0.02",
@@ -79,6 +85,8 @@ CASES = {
     "not TOML": ("--sensor", "a.toml", "[frame", ["a.toml", "TOML"]),
     "no fingers": bad_rig("[[finger]]", "[[fingr]]", "finger", "'fingr'"),
     "two fingers of one name": bad_rig('"right"', '"left"', "finger.name", "'left'"),
+    "null character in a name": bad_rig('"left"', '"le\\u0000ft"', "name", "null character"),
+    "control character in a name": bad_rig('"left"', '"le\\nft"', "name", "control character"),
     "no such site": bad_rig(
         '"right_fingertip"', '"tip"', "finger[1].site", "'tip'", "right_fingertip"
     ),

@@ -132,6 +132,12 @@ def test_bad_usage(command, args, words):
     assert_one_line(command(*args), words)
 
 
+@pytest.mark.parametrize("name", [".", "/"])
+def test_a_folder_is_no_name_of_a_file(command, name):
+    done = command("new", "object", name)
+    assert done.returncode == 2 and "is a folder, not the name of a new file" in done.stderr
+
+
 def test_docs_lists_every_page_with_its_title(command):
     report = json.loads(command("docs", "--json").stdout)
     assert report["pages"]["reference/sensor_files"] and {

@@ -1,13 +1,16 @@
 """Tests of input that `attach`, the object loader and the world reject, and of the messages."""
 
+import warnings
+
 import mujoco
 import numpy as np
 import pytest
 
+from mjtactile.core import resources
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.attach import attach_membrane, configure_options
 from mjtactile.sim.scenes.grasp_world import GraspWorld
-from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.scenes.objects import add_object, load_object
 from mjtactile.sim.scenes.world import World
 
 
@@ -232,3 +235,25 @@ def test_the_rotation_of_a_box_by_the_seed_is_stated(tmp_path, custom, degrees, 
     if stated is not None:
         assert stated in note
         assert "rotation_deg" in note
+
+
+def test_options_of_an_objects_file_are_those_of_the_scene(tmp_path, caplog):
+    """MuJoCo warned in several lines, at every compilation; the options had no effect."""
+    egg = resources.find("egg", "models/objects", ".xml").read_text()
+    path = tmp_path / "a.xml"
+    path.write_text(
+        egg.replace(
+            "<worldbody>",
+            '<size memory="1M"/><option timestep="1" gravity="0 0 9.81"/><worldbody>',
+            1,
+        )
+    )
+    item = load_object(path)
+    assert caplog.messages == [f"{path}: <option> gravity, timestep has no effect: the scene's do"]
+    scene = mujoco.MjSpec()
+    scene.option.timestep = 0.004
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        add_object(scene, item)
+        model = scene.compile()
+    assert model.opt.timestep == 0.004 and model.opt.gravity[2] == -9.81

@@ -1,6 +1,7 @@
 """Misuse of a bound sensor and of the environment: one named error each."""
 
 import copy
+import dataclasses
 import pickle
 
 import mujoco
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import mjtactile
-from mjtactile.core.errors import InputError
+from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.gym.env import GraspEnv
 
 SYNTHETIC = "-mesh,-pipeline"
@@ -75,6 +76,80 @@ def test_a_finger_is_given_once_and_is_a_finger(bound):
         mjtactile.step(model, data, [finger, finger])
     with pytest.raises(InputError, match=r"step: fingers: .* not a sequence, each a SimFinger"):
         mjtactile.step(model, data, [None])
+
+
+def test_what_is_not_finite_is_refused_by_name():
+    """A membrane at NaN touches nothing: it would report no contact with status "ok"."""
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip", pos=[np.nan, 0, 0])
+    mount = mjtactile.attach(spec, "dense", site="tip", effects="-mesh")
+    model = spec.compile()
+    with pytest.raises(InputError, match="bind: model: pos of body 'tactile_sensor' is nan"):
+        mount.bind(model, mujoco.MjData(model))
+
+
+@pytest.mark.parametrize("name", ["mocap_pos", "gravity", "time"])
+def test_an_input_of_the_scene_that_is_not_finite_stops_it(name):
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip")
+    ball = spec.worldbody.add_body(pos=[0, 0, 0.05], mocap=True)
+    ball.add_geom(size=[0.01, 0, 0])
+    mount = mjtactile.attach(spec, "dense", site="tip", effects="-mesh")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    finger = mount.bind(model, data)
+    if name == "time":
+        data.time = np.nan
+    else:
+        getattr(model.opt if name == "gravity" else data, name)[:] = np.nan
+    with pytest.raises((SimulationError, InputError), match=f"{name}.* (is not finite|to nan s)"):
+        mjtactile.step(model, data, [finger], nstep=60)
+
+
+def test_two_sensors_at_one_place_are_refused():
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip")
+    mounts = [mjtactile.attach(spec, "dense", site="tip", prefix=prefix) for prefix in ("a", "b")]
+    model = spec.compile()
+    with pytest.raises(InputError, match="bind: model: 'bsensor' is at the same place"):
+        mounts[0].bind(model, mujoco.MjData(model))
+
+
+def test_a_scene_is_stepped_by_one_thread_at_a_time(bound):
+    _, _, model, data, finger = bound
+    with finger.exclusive(), pytest.raises(InputError, match="is stepped by another thread"):
+        mjtactile.step(model, data, [finger])
+    mjtactile.step(model, data, [finger])
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "message"),
+    [
+        ("membrane", {"thickness": -1.0}, "membrane.thickness_mm: -1000.0 is outside"),
+        ("membrane", {"young": np.nan}, "membrane.young_MPa: nan is outside"),
+        ("camera", {"width": 10**9}, "camera.width_px: 1000000000 is outside"),
+        ("camera", {"rate": "fast"}, "a value has a wrong type"),
+        ("membrane", None, "membrane: is None"),
+    ],
+)
+def test_a_sensor_made_in_python_is_checked_as_a_file(part, change, message):
+    dense = mjtactile.load_sensor("dense")
+    value = change and dataclasses.replace(getattr(dense, part), **change)
+    wrong = dataclasses.replace(dense, **{part: value})
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip")
+    with pytest.raises(InputError, match=f"SensorDesign: {message}"):
+        mjtactile.attach(spec, wrong, site="tip")
+
+
+def test_the_state_of_another_sensor_is_refused():
+    pipelines = [mjtactile.SensingPipeline(mjtactile.load_sensor(n)) for n in ("dense", "paper16")]
+    with pytest.raises(InputError, match="state: is of another sensor: 16 markers, not 81"):
+        mjtactile.StatefulPipeline(pipelines[0], pipelines[1].initial_state())
 
 
 @pytest.mark.parametrize(

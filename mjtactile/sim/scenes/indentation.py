@@ -14,8 +14,9 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Cadence
 from mjtactile.sim.attach import attach_membrane, configure_options
+from mjtactile.sim.finite_model import require_finite
 from mjtactile.sim.scenes.meshes import SUFFIXES, add_solid, convex_parts, load_solid
-from mjtactile.sim.scenes.mjcf import read_mjcf
+from mjtactile.sim.scenes.mjcf import read_mjcf, take_options
 from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.mesh import MarkerInterpolator
@@ -104,6 +105,7 @@ class Indenter:
             )
         for geom in model.geoms:
             geom.mass = _MASS / len(model.geoms)
+        take_options(model, spec)
         spec.attach(model, frame=body.add_frame(), prefix="indenter/")
 
 
@@ -288,7 +290,12 @@ def _extent(indenter: Indentations) -> float:
     it."""
     spec = mujoco.MjSpec()
     indenter.add_to(spec, spec.worldbody.add_body())
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        message = f"does not compile: {' '.join(str(error).split())}"
+        raise InputError(message, field="--indenter") from error
+    require_finite(model, "indenter")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return float((np.linalg.norm(data.geom_xpos, axis=1) + model.geom_rbound).max())

@@ -16,6 +16,7 @@ import numpy as np
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.rig.simulated import SimRigFile
+from mjtactile.sim.finite_model import require_finite
 from mjtactile.sim.scenes.actuators import PositionActuator
 from mjtactile.sim.scenes.inverse_kinematics import Condition, actuator_at, gripper_pose_at, solve
 from mjtactile.sim.scenes.mjcf import read_mjcf
@@ -117,6 +118,7 @@ def load_robot(rig: SimRigFile) -> tuple[mujoco.MjSpec, dict[str, Array], Array 
         raise InputError(
             f"not valid MJCF: {' '.join(str(error).split())}", source=rig.model
         ) from error
+    require_finite(model, rig.model)
     coordinates: dict[str, Array] = {}
     mocap = None
     if rig.keyframe is not None:

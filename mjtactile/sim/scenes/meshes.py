@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
+import importlib.util
 import os
 import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
+from mjtactile.sim.scenes.convex_cut import cut
 from mjtactile.sim.sensor.feature_size import CONVEX, filled_fraction
 
 SUFFIXES = (".stl", ".obj")
@@ -61,6 +61,10 @@ def load_solid(path: Path) -> Solid:
         axis=0,
         return_inverse=True,
     )  # STL repeats each corner for each triangle
+    extent = 1e3 * float(np.ptp(vertices, axis=0).max())
+    if not 0.01 <= extent <= 1000:
+        message = f"is {extent:g} mm wide; a shape of 0.01 to 1000 mm is needed (unit: mm)"
+        raise InputError(message, source=path, field="mesh")
     return vertices, same.reshape(-1)[model.mesh_face]
 
 
@@ -68,28 +72,23 @@ def convex_parts(solid: Solid) -> list[Solid]:
     """Return the convex parts of `solid`, cut by CoACD and cached, or `solid` itself."""
     if filled_fraction(*solid) >= CONVEX:
         return [solid]
-    try:
-        import coacd
-    except ImportError:
+    if not _has_coacd():
         return [solid]
     vertices, faces = solid
     key = hashlib.sha256(
         vertices.tobytes() + faces.tobytes() + str(_THRESHOLD).encode()
     ).hexdigest()[:24]
     cached = _cache() / f"{key}.npz"
-    with contextlib.suppress(OSError, ValueError, KeyError), np.load(cached) as file:
-        return [(file[f"v{i}"], file[f"f{i}"]) for i in range(len(file.files) // 2)]
-    coacd.set_log_level("error")
-    size = float(np.ptp(vertices, axis=0).max())
-    parts = [
-        (size * np.asarray(v), np.asarray(f, np.int64))
-        for v, f in coacd.run_coacd(
-            coacd.Mesh(vertices / size, faces.astype(np.int32)), threshold=_THRESHOLD, seed=0
-        )
-    ]
-    with contextlib.suppress(OSError):  # a cache that cannot be written costs time only
-        _keep(cached, parts)
-    return parts
+    with contextlib.suppress(OSError, ValueError, KeyError):
+        return _read(cached)
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "mesh.npz"
+        target = Path(folder) / "parts.npz"
+        np.savez(source, v0=vertices, f0=faces)
+        cut(source, target, _THRESHOLD)
+        with contextlib.suppress(OSError):  # a cache that cannot be written costs time only
+            _keep(cached, target.read_bytes())
+        return _read(target)
 
 
 def add_solid(
@@ -110,16 +109,22 @@ def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mjtactile" / "convex"
 
 
-def _keep(path: Path, parts: Sequence[Solid]) -> None:
+def _has_coacd() -> bool:
+    try:
+        return importlib.util.find_spec("coacd") is not None
+    except ValueError:  # an entry of sys.modules without a specification
+        return False
+
+
+def _read(path: Path) -> list[Solid]:
+    """Read the parts that `convex_cut.cut` wrote."""
+    with np.load(path) as file:
+        return [(file[f"v{i}"], file[f"f{i}"]) for i in range(len(file.files) // 2)]
+
+
+def _keep(path: Path, content: bytes) -> None:
     """Write the parts to a temporary file and move it, for other processes that read it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    buffer = io.BytesIO()
-    arrays: dict[str, Any] = {
-        f"{key}{i}": array
-        for i, part in enumerate(parts)
-        for key, array in zip("vf", part, strict=True)
-    }
-    np.savez(buffer, **arrays)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        file.write(buffer.getvalue())
+        file.write(content)
     Path(file.name).replace(path)

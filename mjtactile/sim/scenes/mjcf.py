@@ -83,6 +83,31 @@ def _count(text: str) -> int:
         return 1
 
 
+def changed_options(spec: mujoco.MjSpec) -> list[str]:
+    """Return the names of the options that differ from MuJoCo's defaults."""
+    default = mujoco.MjSpec().option
+    return [name for name in _option_names() if not _is_equal(spec.option, default, name)]
+
+
+def take_options(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
+    """Give `part`, before it is attached to `scene`, the scene's options.
+
+    They apply anyway; MuJoCo warns about every difference.
+    """
+    part.memory = scene.memory
+    for name in _option_names():
+        if not _is_equal(part.option, scene.option, name):
+            setattr(part.option, name, getattr(scene.option, name))
+
+
+def _option_names() -> list[str]:
+    return [name for name in dir(mujoco.MjSpec().option) if not name.startswith("_")]
+
+
+def _is_equal(a: object, b: object, name: str) -> bool:
+    return np.array_equal(getattr(a, name), getattr(b, name))
+
+
 def change(spec: mujoco.MjSpec, changes: ObjectChange) -> None:
     """Apply `changes` to a parsed file.
 

@@ -15,6 +15,7 @@ cup, a stand) are added too.
 from __future__ import annotations
 
 import difflib
+import logging
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,9 +29,12 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import KEYS, hint
 from mjtactile.core.types import Array
 from mjtactile.rig.domain_randomization import UNCHANGED, ObjectChange
+from mjtactile.sim.finite_model import require_finite
 from mjtactile.sim.scenes.liquid import Liquid, add_liquid, liquid_in
-from mjtactile.sim.scenes.mjcf import change, read_mjcf
+from mjtactile.sim.scenes.mjcf import change, changed_options, read_mjcf, take_options
 from mjtactile.sim.scenes.random_objects import object_text
+
+_logger = logging.getLogger(__name__)
 
 MATERIALS = ("solid", "soft", "amorphous")
 NUMERICS = (
@@ -115,6 +119,9 @@ def load_object(name_or_path: str | Path) -> ObjectModel:
     spec = read_mjcf(path, text)
     _check_body(spec, path)
     _check_numerics(spec, path)
+    if options := changed_options(spec):
+        names = ", ".join(options)
+        _logger.warning("%s: <option> %s has no effect: the scene's do", path, names)
     flex_material = _flex_material(spec, path)
     has_strain_limit = (
         flex_material is not None
@@ -162,6 +169,7 @@ def add_object(
     change(spec, model.changes)
     if model.liquid is not None:
         fill(spec, model.liquid)
+    take_options(spec, scene)
     scene.attach(spec, frame=frame, prefix=PREFIX)
     if model.flex_material is not None:
         scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
@@ -286,6 +294,7 @@ def _check_compiled(spec: mujoco.MjSpec, path: Path) -> tuple[float, float]:
         model, data = _compiled(spec)
     except (ValueError, RuntimeError) as error:
         raise InputError(f"does not compile: {_one_line(error)}", source=path) from error
+    require_finite(model, path)
     moving = moving_bodies(model)
     touchable = (model.geom_contype[np.isin(model.geom_bodyid, moving)] & 1).any()
     if not touchable and not (model.flex_contype & 1).any():

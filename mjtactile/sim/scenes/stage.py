@@ -13,6 +13,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.recording.stage_protocol import Move
 from mjtactile.sim.scenes.indentation import PressWorld
+from mjtactile.sim.scenes.mjcf import take_options
 from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, read_spec
 
 LIFTED = -2e-3  # depth relative to first touch, m: no contact
@@ -91,6 +92,7 @@ class ObjectOnStage:
         item.pos = [0.0, 0.0, 0.0]
         item.quat = [1.0, 0.0, 0.0, 0.0]
         frame = body.add_frame(pos=self._p_HO, quat=quaternion(self._R_HO))
+        take_options(held, spec)
         spec.attach(held, frame=frame, prefix=PREFIX)
 
 

@@ -191,6 +191,7 @@ def test_a_viewer_that_fails_is_given_up(tmp_path, caplog):
     [
         ("rviz", "valid: rerun, rerun:FILE.rrd"),
         ("foxglove:run.bag", "does not end in .mcap"),
+        ("foxglove:65536", "port 65536 is not from 0 to 65535"),
         ("foxglove:/nowhere/run.mcap", "no such folder"),
     ],
 )

@@ -81,6 +81,12 @@ def test_a_field_in_another_unit_is_pointed_out(table):
         (lambda t: t["gripper"]["servo"][1].update(id=1), "not all different"),
         (lambda t: t["camera"][1].update(finger="left"), "in this order"),
         (lambda t: t["valve"].pop(), "1 valves for 2 cameras"),
+        (lambda t: t["valve"][1].update(channel=1), "valve: two fingers have the same valve"),
+        (
+            lambda t: t["camera"][1].update(source=t["camera"][0]["source"]),
+            "camera: two fingers have the same camera",
+        ),
+        (lambda t: t["camera"][1].update(fourcc="MJPEG"), "'MJPEG' is not a code of four"),
         (
             lambda t: t["valve"][0].update(port="spy:///dev/null?file=/tmp/x"),
             "neither a device nor socket:// or rfc2217://",

@@ -9,7 +9,7 @@ import pytest
 
 from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
-from mjtactile.sim.scenes import meshes
+from mjtactile.sim.scenes import convex_cut, meshes
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensor.feature_size import filled_fraction
 
@@ -113,6 +113,39 @@ def test_a_hull_that_is_used_all_the_same_is_reported(tmp_path, monkeypatch, cac
     monkeypatch.undo()
     pytest.importorskip("coacd")
     assert "hull" not in press_flags(tmp_path / "l.stl")
+
+
+def test_a_mesh_that_cannot_be_cut_in_time_is_refused(tmp_path, monkeypatch, cache):
+    """CoACD runs for minutes on an open surface; no signal interrupts it."""
+    pytest.importorskip("coacd")
+    monkeypatch.setattr(convex_cut, "TIME", 3.0)
+    path = tmp_path / "open.stl"
+    parts = [struct.pack("<12fH", 0, 0, 0, *t.ravel(), 0) for t in prism()[4:]]
+    path.write_bytes(b"open".ljust(80) + struct.pack("<I", len(parts)) + b"".join(parts))
+    with pytest.raises(InputError, match="is not cut into convex parts within 3 s: close its"):
+        meshes.convex_parts(meshes.load_solid(path))
+    assert not list(cache.rglob("*.npz"))
+
+
+def test_a_mesh_in_another_unit_is_refused(tmp_path):
+    """12 mm in a file in um; the limits are those of other indenters."""
+    path = tmp_path / "l.stl"
+    parts = [struct.pack("<12fH", 0, 0, 0, *(1e3 * t).ravel(), 0) for t in prism()]
+    path.write_bytes(b"an L".ljust(80) + struct.pack("<I", len(parts)) + b"".join(parts))
+    with pytest.raises(
+        InputError, match=r"is 12000 mm wide; a shape of 0\.01 to 1000 mm is needed"
+    ):
+        meshes.load_solid(path)
+
+
+@pytest.mark.parametrize(
+    ("geom", "message"),
+    [('size="nan"', "does not compile"), ('size="0.01" pos="0 nan 0"', "is nan, not finite")],
+)
+def test_an_indenter_that_is_not_finite_is_refused(tmp_path, geom, message):
+    (tmp_path / "a.xml").write_text(f"<mujoco><worldbody><geom {geom}/></worldbody></mujoco>")
+    with pytest.raises(InputError, match=message):
+        PressWorld(load_sensor("dense"), Indenter.parse(str(tmp_path / "a.xml")), mesh=(9, 7))
 
 
 @pytest.mark.parametrize("text", ["", "solid nothing\nendsolid\n", "vertex 1 2 3\n" * 12])
