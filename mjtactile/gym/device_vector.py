@@ -27,7 +27,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.not_copyable import NotCopyable
 from mjtactile.core.policy import policy_bounds
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.signature_checks import above, not_below, validated
+from mjtactile.core.signature_checks import above, not_below, validated, within
 from mjtactile.core.types import Array
 from mjtactile.gym.env import PROGRESS
 from mjtactile.recording.policy_data import REWARDS
@@ -42,7 +42,12 @@ _SOURCE = "Grasp-v0 with a device"
 _RESET = f"{_SOURCE}: reset"
 
 
-@validated(num_envs=not_below(1), time_limit=above(0, math.inf))
+_TIMESTEP = within(1e-3, 7e-3)
+_MIN_NODES = 7  # of a side: the contact of an egg covers two of them
+_MAX_NODES = 61
+
+
+@validated(num_envs=not_below(1), time_limit=above(0, math.inf), timestep=_TIMESTEP)
 class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
     """`num_envs` grasps on one device. World k of `reset(seed=s)` has the seed s + k.
 
@@ -55,6 +60,8 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         autoreset_mode: Mode of Gymnasium. Disabled: `reset` restarts the worlds of a mask.
         object: Argument of `GraspEnv`; so are `sensor`, `rig`, `randomization`, `time_limit`,
             `task`, `reward`. "random": 256 rigid random objects (`truth()["object_seed"]`).
+        nodes: Number of nodes of the membrane along x and y; None: 21 x 16. Fewer are faster.
+        timestep: Maximum time step, s; None: 2.08 ms.
 
     Raises:
         InputError: A name does not exist, or the worlds do not support it.
@@ -74,6 +81,8 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
         time_limit: float = 20.0,
         task: str = "lift",
         reward: str = "outcome",
+        nodes: tuple[int, int] | None = None,
+        timestep: float | None = None,
     ):
         if reward not in ("outcome", "progress"):
             choices = ["outcome", "progress"]
@@ -89,8 +98,12 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             rewards=REWARDS,
             progress=list(PROGRESS.values()) if reward == "progress" else (),
             time_limit=time_limit,
+            nodes=_checked_nodes(nodes),
+            timestep=timestep,
             device=device,
         )
+        self.timestep = float(self._grasps.model.opt.timestep)
+        """Time step, s: a whole number of them is a camera period."""
         self.num_envs = num_envs
         self.metadata = {
             "render_modes": [],
@@ -205,6 +218,14 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
 
     def _copied(self, array: Any) -> Any:
         return self._observation(wp.clone(array))
+
+
+def _checked_nodes(nodes: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return `nodes`. Raises InputError for a grid that is too coarse or too fine."""
+    if nodes is not None and not all(_MIN_NODES <= count <= _MAX_NODES for count in nodes):
+        text = f"{nodes} is not within {_MIN_NODES} to {_MAX_NODES} nodes on each side"
+        raise InputError(text, source=_SOURCE, field="nodes")
+    return nodes
 
 
 def _torch() -> Any:

@@ -6,6 +6,7 @@ device; nothing waits for the host. On a GPU the physics of a control step is on
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -70,6 +71,8 @@ class Grasps:
         rewards: dict[str, float],
         progress: Sequence[tuple[float, float]] = (),
         time_limit: float = 20.0,
+        nodes: tuple[int, int] | None = None,
+        timestep: float | None = None,
         device: str | None = None,
     ):
         """Build the worlds; `reset` starts them.
@@ -81,6 +84,8 @@ class Grasps:
             rewards: Reward of each outcome, at the end of an episode.
             progress: Start and increase of the reward of each phase; empty: only `rewards` count.
             time_limit: Time limit of an episode, s.
+            nodes: Number of nodes of the membrane along x and y; None: 21 x 16.
+            timestep: Maximum time step, s; None: that of the CPU.
             device: Warp device; None: Warp's default.
 
         Raises:
@@ -103,7 +108,11 @@ class Grasps:
         self.fingers = len(self.rig.fingers)
         self.model = world.model
         self.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self.substeps = round(self.rig.period / world.timestep)
+        step = world.timestep if timestep is None else timestep
+        self.substeps = math.ceil(self.rig.period / step - 1e-6)
+        self.model.opt.timestep = self.rig.period / self.substeps
+        mesh = world.sensors[0].mesh
+        self._nodes = (mesh.nx, mesh.ny) if nodes is None else nodes
         with wp.ScopedDevice(self.device):
             self._build(rewards, progress, time_limit)
         self.seeds: Array = np.zeros(0, int)
@@ -131,7 +140,7 @@ class Grasps:
             self._d,
             [sensor.body_id for sensor in sensors],
             sensors[0].design,
-            (sensors[0].mesh.nx, sensors[0].mesh.ny),
+            self._nodes,
             inertia=self._scene.diagonal,
         )
         self._drive = drive_of(self.rig, self._m, worlds)
