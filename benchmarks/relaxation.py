@@ -31,7 +31,7 @@ HOLD = 600.0
 HOLD_QUICK = 20.0
 AFTER = 10.0  # time after the release, s
 _EVERY = 20.0  # interval between measurements, s
-_IMAGES = 5  # of a look, 0.1 s: their mean, since one image alone has a noise of 5 mN
+_IMAGES = 5  # averaged for a value, over 0.1 s, since one image alone has a noise of 5 mN
 _GAUGE_SD = 5.0  # noise of the pressure sensor, Pa
 _TIMED = 400  # steps
 _TURNS = 6
@@ -116,8 +116,8 @@ def _measure(
             for view in views
         ]
         rows.append([-float(ground_truth.contact_force(world, 0)[2]), *estimated])
-    true, knowing, unknowing = np.mean(rows, axis=0)
-    return world.time, float(true), float(knowing), float(unknowing)
+    true, modeled, unmodeled = np.mean(rows, axis=0)
+    return world.time, float(true), float(modeled), float(unmodeled)
 
 
 def _relative_cost() -> float:
@@ -152,11 +152,11 @@ def table(result: Mapping[str, Any]) -> str:
     ]
     for row in result["rows"]:
         start, end = row["true_N"]
-        knows, does_not = (1e3 * error for error in row["worst_N"])
-        after, after_not = (1e3 * error for error in row["after_N"])
+        modeled, unmodeled = (1e3 * error for error in row["worst_N"])
+        after, after_unmodeled = (1e3 * error for error in row["after_N"])
         lines.append(
-            f"| {row['rubber']} | {row['rate']:.0%} | {start:.3f} to {end:.3f} | {knows:.0f} | "
-            f"{does_not:.0f} | {after:+.0f} ({after_not:+.0f}) |"
+            f"| {row['rubber']} | {row['rate']:.0%} | {start:.3f} to {end:.3f} | {modeled:.0f} | "
+            f"{unmodeled:.0f} | {after:+.0f} ({after_unmodeled:+.0f}) |"
         )
     cost = 100 * (result["price"] - 1)
     note = (

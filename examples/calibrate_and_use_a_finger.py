@@ -59,7 +59,7 @@ def estimated_forces(rig, design, calibrations=(None, None), recorder=None):
     return np.array(forces)
 
 
-# by chains that know the true lens
+# by chains with the true lens
 with mjtactile.Recorder(work / "squeeze", {"sensor": "paper16"}) as recorder:
     true = estimated_forces(
         mjtactile.build_rig("sim", replace(sensor, camera=camera), object_name="vial"),

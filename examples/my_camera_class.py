@@ -42,7 +42,7 @@ class NewestFrame:
     def _keep_newest(self):
         while not self._closed.is_set():
             arrived, frame = self._capture.read()
-            if arrived:  # captured `delay` s before, on the clock that the rig goes by
+            if arrived:  # captured `delay` s before, on the rig's clock
                 gray = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
                 self._newest = mjtactile.Image(gray, mjtactile.monotonic() - self._config.delay)
 

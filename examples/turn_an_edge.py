@@ -30,7 +30,7 @@ def press(angle: float, height: float = 0.0113) -> mjtactile.ContactShape:
     return finger.shape
 
 
-angle = 0.5  # rad, which the finger does not know
+angle = 0.5  # rad, unknown to the finger
 before = press(angle)
 angle -= (before.direction + np.pi / 2) % np.pi - np.pi / 2  # an edge has no front
 after = press(angle)

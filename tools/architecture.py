@@ -206,7 +206,7 @@ def _lines(floor: Floor, longest: int = 52) -> list[str]:
 
 def _legend(x: float, y: float) -> list[str]:
     sentences = (
-        "Boxes with a space between them do not see each other; boxes that touch may.",
+        "Boxes with a space between them do not import each other; boxes that touch may.",
         "Only the rooms marked mujoco import it. sim/truth is for scoring alone.",
         "Controllers import mjtactile.types and nothing else; examples the public names.",
     )

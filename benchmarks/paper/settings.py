@@ -12,10 +12,10 @@ class PaperSettings:
     """Settings of `benchmarks.paper.force_methods`."""
 
     taper: float = number(
-        1.25, "pitches over which the test function falls", "at least one marker must see it; trial"
+        1.25, "pitches over which the test function falls", "at least one marker inside; trial"
     )
     informative_pressure: float = number(
-        100.0, "Pa; below, the bulge is too small to tell the stiffness", "trial"
+        100.0, "Pa; below, the bulge is too small to determine the stiffness", "trial"
     )
 
 

@@ -45,7 +45,7 @@ def run(
 ) -> dict[str, Any]:
     """Estimate the force of each depth image, and plot it next to the wrist sensor's in `out`."""
     if data is None:
-        raise InputError("wants the recording's folder", field="--data")
+        raise InputError("needs the recording's folder", field="--data")
     rows, clouds = _read(Path(data))
     gauge = 100 * rows[:, 1] - AMBIENT
     zero = rows[QUIET, 8:11].mean(axis=0)

@@ -266,7 +266,7 @@ def _rest(world: World, limit: float = 2.5, speed: float = 2e-3) -> bool:
         world.step()
         still = still + world.timestep if np.abs(world.data.qvel).max() < speed else 0.0
     if still < 0.1:
-        reason = f"does not come to rest in {limit:g} s"
+        reason = f"is not at rest after {limit:g} s"
         world.update_flags({"unsettled": reason}, {Cadence.SETTLING})
     return still >= 0.1
 

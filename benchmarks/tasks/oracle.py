@@ -39,7 +39,7 @@ _MAX_LEVER = 3.0  # of a torque about the grip, in the need
 
 def step(observation: Observation) -> Command:
     """Raise an error: a controller file needs `step`, but this one needs a simulated world."""
-    raise RuntimeError("the oracle runs in `mjtactile bench tasks` alone: it looks at the truth")
+    raise RuntimeError("the oracle runs in `mjtactile bench tasks` alone: it reads ground truth")
 
 
 class Oracle(Observer):

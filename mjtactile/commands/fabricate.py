@@ -48,7 +48,7 @@ ARGUMENTS = (
     ),
     arg.option(
         "--press-mm D",
-        "maximum indentation that the camera must see (default: 4, or a quarter of chamber "
+        "maximum indentation in the camera image (default: 4, or a quarter of chamber "
         "or frame if smaller)",
         type=arg.number(0, 100),
     ),

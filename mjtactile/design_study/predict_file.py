@@ -117,9 +117,9 @@ def image_use_of(stand: VirtualBench) -> ImageUse:
     camera = Camera.from_design(design.camera, design.glass)
     sides = np.array([design.frame.length, design.frame.width]) / 2
     corners = sides * [[-1, -1], [-1, 1], [1, -1], [1, 1]]
-    middles = sides * [[-1, 0], [1, 0], [0, -1], [0, 1]]
+    midpoints = sides * [[-1, 0], [1, 0], [0, -1], [0, 1]]
     outline = design.frame.outline
-    rim = np.concatenate([corners, middles]) if outline is None else outline.points(_RIM)
+    rim = np.concatenate([corners, midpoints]) if outline is None else outline.points(_RIM)
     p_SP = np.pad(rim, ((0, 0), (0, 1)))
     uv = project(camera, p_SP - design.camera.p_SC)
     size = np.array([design.camera.width, design.camera.height])
@@ -135,11 +135,11 @@ def _longest_lens(stand: VirtualBench) -> float:
     for _ in range(_HALVINGS):
         midpoint = (low + high) / 2
         sampler = EllipseSampler(scaled_lens(stand.design, midpoint))
-        seen = [
+        views = [
             sampler.sample(*stand.poses(x), errors=False).ellipses
             for x in (flat, stand.membrane.rest.x)
         ]
-        is_complete = all(view is not None and len(view) == stand.circles for view in seen)
+        is_complete = all(view is not None and len(view) == stand.circles for view in views)
         low, high = (midpoint, high) if is_complete else (low, midpoint)
     return low
 

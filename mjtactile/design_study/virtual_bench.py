@@ -91,9 +91,9 @@ class VirtualBench:
             state, [rest], self.membrane.gauge_pressure
         )
 
-    def _require_all(self, seen: SyntheticEllipses, state: str) -> None:
+    def _require_all(self, rendered: SyntheticEllipses, state: str) -> None:
         """Raise InputError if not all markers are in the image."""
-        found = 0 if seen.ellipses is None else len(seen.ellipses)
+        found = 0 if rendered.ellipses is None else len(rendered.ellipses)
         if found < self.circles:
             count = f"only {found} of {self.circles} circles"
             message = f"{count} lie completely in the image while the membrane is {state}"
@@ -113,21 +113,21 @@ class VirtualBench:
 
     # -- indentation
 
-    def press(self, body: ObstacleAtDepth, force: float) -> IndentedMembrane | None:
+    def press(self, obstacle: ObstacleAtDepth, force: float) -> IndentedMembrane | None:
         """Lower an obstacle until it indents the membrane with a force.
 
         Args:
-            body: Obstacle as a function of its height, m in S.
+            obstacle: Obstacle as a function of its height, m in S.
             force: Indenting force, N.
 
         Returns:
             The indented membrane; None: it does not carry the force.
         """
-        low = high = self.first_touch(body)
+        low = high = self.first_touch(obstacle)
         state = None
         step = _STEP
         while state is None or state.force_normal < force:
-            further = self._solve(body(low - step), state)
+            further = self._solve(obstacle(low - step), state)
             if further is None:
                 step /= 2
                 if step < _STEP / _SHORTEST:
@@ -141,7 +141,7 @@ class VirtualBench:
         above = None
         for _ in range(_HALVINGS):
             midpoint = (low + high) / 2
-            found = self._solve(body(midpoint), state if above is None else above)
+            found = self._solve(obstacle(midpoint), state if above is None else above)
             if found is None:
                 break
             if found.force_normal < force:
@@ -153,41 +153,41 @@ class VirtualBench:
         force_error = abs(state.force_normal - force)
         return IndentedMembrane(state, low) if force_error < _OFF * force else None
 
-    def indent(self, body: ObstacleAtDepth, depth: float) -> IndentedMembrane | None:
+    def indent(self, obstacle: ObstacleAtDepth, depth: float) -> IndentedMembrane | None:
         """Lower an obstacle to a depth below first contact.
 
         Args:
-            body: Obstacle as a function of its height, m in S.
+            obstacle: Obstacle as a function of its height, m in S.
             depth: Depth, m.
 
         Returns:
             The indented membrane; None: it has no solution there.
         """
-        start = self.first_touch(body)
+        start = self.first_touch(obstacle)
         state = None
         for part in np.linspace(0.0, depth, math.ceil(depth / _STEP) + 1)[1:].tolist():
-            state = self._solve(body(start - part), state)
+            state = self._solve(obstacle(start - part), state)
             if state is None:
                 return None
         return None if state is None else IndentedMembrane(state, start - depth)
 
-    def _solve(self, body: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
+    def _solve(self, obstacle: Obstacle, start: MembraneSolution | None) -> MembraneSolution | None:
         """Solve on an obstacle from `start`, without its trend, or from rest; None: no state."""
         starts = [start] if start is None else [start, replace(start, trend=None), None]
         for initial in starts:
             try:
-                state = self.membrane.solve(body, initial)
+                state = self.membrane.solve(obstacle, initial)
             except InputError:  # contact with frame or glass, or an inverted membrane
                 continue
             if state.converged:
                 return state
         return None
 
-    def first_touch(self, body: ObstacleAtDepth) -> float:
+    def first_touch(self, obstacle: ObstacleAtDepth) -> float:
         """Return the obstacle's height at first contact with the membrane at rest, m."""
         x, y = np.meshgrid(self.membrane.x, self.membrane.y, indexing="ij")
         nodes = np.column_stack([x.ravel(), y.ravel()])
-        under = self.membrane.obstacle_heights(body(0.0), nodes)
+        under = self.membrane.obstacle_heights(obstacle(0.0), nodes)
         return float((self.membrane.rest.heights.ravel() - under).max())
 
     # -- markers and tactile estimates
@@ -234,9 +234,9 @@ class VirtualBench:
         gain = estimated.shape.gain
         to_force = net_force(self.pipeline.inverse, gain.prior) @ gain.half.T
         by_marker = cho_solve((gain.innovation, True), to_force.T).T
-        seen = gain.weights @ estimated.touch.markers.cov_p @ gain.weights.transpose(0, 2, 1)
-        slopes = len(gain.half) - 3 * len(seen)  # whitened: unit variances
-        noise = block_diag(*seen, np.eye(slopes)) if slopes else block_diag(*seen)
+        noise_cov = gain.weights @ estimated.touch.markers.cov_p @ gain.weights.transpose(0, 2, 1)
+        slopes = len(gain.half) - 3 * len(noise_cov)  # whitened: unit variances
+        noise = block_diag(*noise_cov, np.eye(slopes)) if slopes else block_diag(*noise_cov)
         return by_marker @ noise @ by_marker.T
 
     def level_noise(self) -> float:

@@ -98,12 +98,12 @@ class ServoBus:
 
     def _single(self, servo: EmulatedServo, packet: p2.Instruction, now: float) -> bytes:
         """Execute a packet and answer with the old id; a new id applies from the next packet on."""
-        asked = servo.id
+        sender = servo.id
         level = servo.get("Status Return Level")
         error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
         if level < _REPORTED_AT.get(packet.code, 2):
             return b""
-        return self._status(servo, error, data, asked)
+        return self._status(servo, error, data, sender)
 
     def _broadcast(
         self, packet: p2.Instruction, awake: Sequence[EmulatedServo], now: float
@@ -186,13 +186,13 @@ class ServoBus:
         return b""
 
     def _status(
-        self, servo: EmulatedServo, error: int, data: bytes, asked: int | None = None
+        self, servo: EmulatedServo, error: int, data: bytes, sender: int | None = None
     ) -> bytes:
         if self._faults.occurs("servo_drop"):
             return b""
         if self._faults.occurs("servo_short"):
             data = data[:-1]
-        return p2.status(servo.id if asked is None else asked, error | servo.alert, data)
+        return p2.status(servo.id if sender is None else sender, error | servo.alert, data)
 
     def _send(self, answer: bytes, received: int, baud: int) -> None:
         """Wait as long as wire, return delay and USB take; a pty has none of these."""

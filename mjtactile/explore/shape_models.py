@@ -1,7 +1,7 @@
 """Shape models of an explored object: round, round with a flat end, cylinder, cone, box, or free.
 
-All are the superquadric of `mjtactile.explore.superquadric`. A family defines the free parameters
-among the fourteen, and the amplitude of the additional field. The evidence selects the family
+All are the superquadric of `mjtactile.explore.superquadric`. A model defines the free parameters
+among the fourteen, and the amplitude of the additional field. The evidence selects the model
 (docs/theory/exploration.md, Eq. E5). At equal fit it favors few parameters, because they make
 sharper predictions.
 """
@@ -21,8 +21,8 @@ _PLACE_SD = 15.0  # mm
 _SIZE_SD = 0.6  # sd of the logarithm of all sizes together
 _ASPECT_SD = 0.4  # sd of the logarithm of each size
 _ROTATION_SD = 2.0  # rad
-_TIED = 0.01  # standard deviation of parameters fixed by a family: exponents, tapers, equal sizes
-_ALIKE = 3e-3  # sd of the logarithm of sizes that are equal in a family
+_TIED = 0.01  # standard deviation of parameters fixed by a model: exponents, tapers, equal sizes
+_ALIKE = 3e-3  # sd of the logarithm of sizes that are equal in a shape model
 _SMALL_FIELDS = ((0.0, 10.0), (0.05, 8.0), (0.15, 8.0))
 """Standard deviation and correlation length, mm, of the residual field of a simple shape.
 
@@ -33,10 +33,10 @@ _FIELDS = (*_SMALL_FIELDS, (0.5, 8.0), (1.2, 8.0), (0.5, 14.0), (1.5, 14.0))
 
 @dataclass(frozen=True, eq=False)
 class ObjectFamily:
-    """Family of similar shapes.
+    """Shape model: a distribution of similar shapes.
 
     Attributes:
-        name: Name of the family.
+        name: Name of the shape model.
         mean: (14,) Prior mean of the parameters.
         cov: (14, 14) Prior covariance.
         root: (14, 14) Whitening matrix for a deviation from the mean.
@@ -67,7 +67,7 @@ def _family(
     starts: tuple[tuple[float, float], ...] = (),
     fields: tuple[tuple[float, float], ...] = _SMALL_FIELDS,
 ) -> ObjectFamily:
-    """Return a family with exponents `along` and `across` as mean and sd, and the taper's sd."""
+    """Return a model with exponents `along` and `across` as mean and sd, and the taper's sd."""
     end, end_sd = _CUT if cut else (UNCUT, _TIED)
     mean = np.array([0.0] * 6 + [np.log(HALF)] * 3 + [along[0], across[0]] + [0.0] * 2 + [end])
     pose = [_PLACE_SD**2] * 3 + [_ROTATION_SD**2] * 3
@@ -103,4 +103,4 @@ FAMILIES = (
     _family("box", _SHARP, _SHARP),
     FREE,
 )
-"""Shape families, ordered by their number of parameters, fewest first."""
+"""Shape models, ordered by their number of parameters, fewest first."""

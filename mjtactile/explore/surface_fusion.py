@@ -1,6 +1,6 @@
 """Fusion of patches to one surface.
 
-Each family of shapes is fitted, with a field for the residual. It is weighted by its evidence
+Each shape model is fitted, with a field for the residual. It is weighted by its evidence
 (docs/theory/exploration.md, Eq. E3 to E5).
 """
 
@@ -50,8 +50,8 @@ _SCALE = np.array([1.0] * 3 + [0.1] * 3 + [0.05] * 3 + [0.1] * 2 + [0.05] * 3)
 def fuse(
     patches: Sequence[Patch], before: Sequence[SurfacePosterior] = ()
 ) -> list[SurfacePosterior]:
-    """Estimate the most likely surface of each family from the patches of one object, the most
-    likely family first. `before` are earlier estimates without the newest patches, used as start
+    """Estimate the most likely surface of each shape model from the patches of one object, the most
+    likely model first. `before` are earlier estimates without the newest patches, used as start
     values."""
     if not patches:
         return [unknown()]
@@ -72,7 +72,7 @@ def shares(surfaces: Sequence[SurfacePosterior]) -> Array:
 def _of_family(
     data: _Data, family: ObjectFamily, centers: Sequence[Array], known: Array | None
 ) -> SurfacePosterior:
-    """Estimate the most likely shape of a family, with its residual field."""
+    """Estimate the most likely shape of a model, with its residual field."""
     starts = []
     if known is not None:
         starts, centers = [known], centers[:_MAX_CENTERS]
@@ -262,7 +262,7 @@ def _solve(
 
 
 def _expected(data: _Data, family: ObjectFamily, theta: Array) -> Array:
-    """Return the residuals at the points for the family's mean shape, mm, to first order."""
+    """Return the residuals at the points for the model's mean shape, mm, to first order."""
     rows = superquadric.jacobian(theta, data.points)
     return data.left(theta) - rows @ (family.mean - theta)
 

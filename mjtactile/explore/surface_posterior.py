@@ -28,7 +28,7 @@ class SurfacePosterior:
     """Posterior of an object's surface.
 
     Attributes:
-        family: Family of the shape.
+        family: Shape model.
         theta: (14,) Shape parameters (`mjtactile.explore.superquadric.COUNT`).
         field: Standard deviation and correlation length of the additional field, mm.
         points: (N, 3) Touched points, mm.
@@ -103,7 +103,7 @@ def excess(
 ) -> float:
     """Compute the variance inflation factor of a Gaussian surface.
 
-    The posterior covariance does not depend on the measured values. A wrong shape family, or a
+    The posterior covariance does not depend on the measured values. A wrong shape model, or a
     common error of the touches, therefore does not change it. The error of predicting each touch
     from the others does depend on them.
 

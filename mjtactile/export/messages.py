@@ -18,7 +18,7 @@ from mjtactile.recording.mounting import Mounting
 
 
 class Source(Protocol):
-    """Whose cycles are made messages of: an `RecordedEpisode`, or a run that goes on."""
+    """Source of cycles for messages: a `RecordedEpisode`, or a current run."""
 
     @property
     def fingers(self) -> tuple[str, ...]: ...
@@ -51,8 +51,8 @@ class Message:
 def items(episode: RecordedEpisode) -> Iterator[Message]:
     """Yield all messages of an episode; `rosbag2` lists the kinds."""
     yield static(episode, float(episode.recording.columns["time"][0]))
-    for seen in episode.cycles():
-        yield from of_cycle(episode, seen)
+    for perceived in episode.cycles():
+        yield from of_cycle(episode, perceived)
 
 
 def static(source: Source, time: float) -> Message:
@@ -67,49 +67,49 @@ def static(source: Source, time: float) -> Message:
     return Message("/tf_static", "static", time, "", static_frames(source.mounting, placed))
 
 
-def of_cycle(source: Source, seen: Perceived) -> Iterator[Message]:
+def of_cycle(source: Source, perceived: Perceived) -> Iterator[Message]:
     """Yield all messages of one cycle."""
     for k, finger in enumerate(source.fingers):
-        yield from _of_finger(source, seen, k, finger)
-    row = seen.row
+        yield from _of_finger(source, perceived, k, finger)
+    row = perceived.row
     gripper_time = float(row.get("gripper_time", np.nan))
-    state = gripper_time if np.isfinite(gripper_time) else seen.time
+    state = gripper_time if np.isfinite(gripper_time) else perceived.time
     joints = {
         "opening": (float(row["opening"]), float(row["speed"]), float(row["effort"])),
         "lift": (float(row["lift_height"]), float("nan"), float("nan")),
     }
     yield Message("/joint_states", "joints", state, "", joints)
-    frames = list(moving_frames(source.mounting, source.fingers, row, seen.view))
+    frames = list(moving_frames(source.mounting, source.fingers, row, perceived.view))
     yield Message("/tf", "frames", state, "", frames)
-    yield Message("/cycle", "cycle", seen.time, "", row)
+    yield Message("/cycle", "cycle", perceived.time, "", row)
 
 
-def stamp_of(seen: Perceived, finger: int) -> float:
+def stamp_of(perceived: Perceived, finger: int) -> float:
     """Return the capture time of that finger's image, s."""
-    stamp = float(seen.row["image_time"][finger])
-    return stamp if np.isfinite(stamp) else seen.time
+    stamp = float(perceived.row["image_time"][finger])
+    return stamp if np.isfinite(stamp) else perceived.time
 
 
-def _of_finger(source: Source, seen: Perceived, index: int, finger: str) -> Iterator[Message]:
-    stamp = stamp_of(seen, index)
+def _of_finger(source: Source, perceived: Perceived, index: int, finger: str) -> Iterator[Message]:
+    stamp = stamp_of(perceived, index)
     camera = f"{finger}_camera"
     sensor = f"{finger}_sensor"
-    if seen.images:
-        file = seen.files[index] if seen.files else None
-        yield Message(f"/{finger}/image", "image", stamp, camera, (seen.images[index], file))
+    if perceived.images:
+        file = perceived.files[index] if perceived.files else None
+        yield Message(f"/{finger}/image", "image", stamp, camera, (perceived.images[index], file))
         lens = effective_camera(source.design_of(finger)).camera
         yield Message(f"/{finger}/camera_info", "camera", stamp, camera, lens)
     mine = {
         key: value[index]
-        for key, value in seen.row.items()
+        for key, value in perceived.row.items()
         if isinstance(value, (list, np.ndarray))
         and len(value) == len(source.fingers)
         and key not in NOT_OF_A_FINGER
     }
     yield Message(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(mine["wrench"], float))
     yield Message(f"/{finger}/touch", "touch", stamp, sensor, mine)
-    if seen.touch:
-        for name, cloud in _clouds(seen.touch[index]):
+    if perceived.touch:
+        for name, cloud in _clouds(perceived.touch[index]):
             yield Message(f"/{finger}/{name}", "cloud", stamp, sensor, cloud)
 
 

@@ -61,16 +61,16 @@ class EntityStream:
         """Send the whole scene again with the next cycle, for a new viewer."""
         self._placed.clear()
 
-    def of(self, seen: Perceived) -> Iterator[Message]:
+    def of(self, perceived: Perceived) -> Iterator[Message]:
         """Yield all viewer items of one cycle."""
         for k, finger in enumerate(self.source.fingers):
-            stamp = stamp_of(seen, k)
+            stamp = stamp_of(perceived, k)
             sensor = f"{finger}_sensor"
-            ellipses = seen.ellipses[k] if seen.ellipses else None
+            ellipses = perceived.ellipses[k] if perceived.ellipses else None
             if ellipses is not None and len(ellipses):
                 camera = f"{finger}_camera"
                 yield Message(f"/{finger}/ellipses", "curves", stamp, camera, curves_of(ellipses))
-            touch = seen.touch[k] if seen.touch else None
+            touch = perceived.touch[k] if perceived.touch else None
             if touch is None or touch.surface is None:
                 continue
             mesh = surface_mesh(touch.surface)
@@ -80,35 +80,35 @@ class EntityStream:
                 yield Message(f"/{finger}/traction/drawn", "arrows", stamp, sensor, arrows)
                 force = force_arrow(touch.traction, touch.surface)
                 yield Message(f"/{finger}/force/drawn", "arrows", stamp, sensor, force)
-        if seen.view is not None:
-            yield from self._scene(seen)
+        if perceived.view is not None:
+            yield from self._scene(perceived)
 
-    def _scene(self, seen: Perceived) -> Iterator[Message]:
+    def _scene(self, perceived: Perceived) -> Iterator[Message]:
         moved = []
-        for solid in seen.view.solids():
+        for solid in perceived.view.solids():
             frame = f"scene/{solid.name}"
             pose = np.append(solid.R_WG.ravel(), solid.p_WG)
             before = self._placed.get(frame)
             if before is None:
                 mesh = RenderedMesh(solid.points, solid.faces, tuple(map(float, solid.rgba)))
-                yield Message(f"/{frame}", "mesh", seen.time, frame, mesh)
+                yield Message(f"/{frame}", "mesh", perceived.time, frame, mesh)
             if before is None or not np.array_equal(before, pose):
                 moved.append(Transform("world", frame, solid.R_WG, solid.p_WG))
                 self._placed[frame] = pose
-        for name, points, faces, rgba in seen.view.soft_bodies():
+        for name, points, faces, rgba in perceived.view.soft_bodies():
             mesh = RenderedMesh(points, faces, tuple(map(float, rgba)))
-            yield Message(f"/soft/{name}", "mesh", seen.time, "world", mesh)
+            yield Message(f"/soft/{name}", "mesh", perceived.time, "world", mesh)
         if moved:
-            yield Message("/tf_scene", "frames", seen.time, "", moved)
+            yield Message("/tf_scene", "frames", perceived.time, "", moved)
 
 
 def rendered_items(episode: RecordedEpisode) -> Iterator[Message]:
     """Yield all messages of a recording and the graphics of each cycle."""
     entities = EntityStream(episode)
     yield static(episode, float(episode.recording.columns["time"][0]))
-    for seen in episode.cycles():
-        yield from of_cycle(episode, seen)
-        yield from entities.of(seen)
+    for perceived in episode.cycles():
+        yield from of_cycle(episode, perceived)
+        yield from entities.of(perceived)
 
 
 def curves_of(ellipses: Ellipses) -> ImageCurves:

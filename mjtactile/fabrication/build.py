@@ -133,7 +133,7 @@ def _papers(layout: Layout) -> dict[str, bytes]:
         pdfs["fiducials"] = [fiducials]
     images = {f"{name}.svg": write_svg(rubber).encode() for name, rubber in svgs.items()}
     images |= {f"{name}.dxf": write_dxf(svgs[name]).encode() for name in svgs if name != "board"}
-    return images | {f"{name}.pdf": write_pdf(sheets) for name, sheets in pdfs.items()}
+    return images | {f"{name}.pdf": write_pdf(pages) for name, pages in pdfs.items()}
 
 
 def _renderings(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[str, bytes]:
@@ -148,9 +148,9 @@ def _renderings(layout: Layout, optics: Optics, parts: dict[str, Part]) -> dict[
             shifts = dict.fromkeys(step.parts, 0.0)
             if not step.cut:
                 shifts = part_renderings.explode(parts, step.parts)
-            bodies = part_renderings.bodies_of(parts, solids, shifts)
+            items = part_renderings.bodies_of(parts, solids, shifts)
             name = f"{step.figure}.png"
-            found[step.figure] = part_renderings.save_png(bodies, name, **step.view)
+            found[step.figure] = part_renderings.save_png(items, name, **step.view)
     found["camera_view"] = _camera_view(layout.design, optics)
     half = print_templates.page_size(layout)
     found["print"] = write_png(print_templates.marker_pages(layout)[0], half[0] + 2, half[1] + 2)

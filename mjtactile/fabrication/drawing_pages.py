@@ -111,19 +111,20 @@ def _scale_bars(width: float, height: float) -> list[DrawingShape]:
     return found
 
 
-def write_svg(sheet: PrintedPage) -> str:
+def write_svg(printed: PrintedPage) -> str:
     """Write the page as SVG: one user unit is a millimeter, the origin the page's center."""
     groups: dict[str, list[str]] = {}
-    for shape in sheet.shapes:
+    for shape in printed.shapes:
         groups.setdefault(shape.group, []).append(_svg(shape))
     body = "\n".join(
         f'<g id="{name}">\n' + "\n".join(lines) + "\n</g>" for name, lines in groups.items()
     )
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(sheet.width)}mm" '
-        f'height="{_n(sheet.height)}mm" viewBox="{_n(-sheet.width / 2)} {_n(-sheet.height / 2)} '
-        f'{_n(sheet.width)} {_n(sheet.height)}">\n'
-        f"<title>{escape(sheet.title)}</title>\n{body}\n</svg>\n"
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{_n(printed.width)}mm" '
+        f'height="{_n(printed.height)}mm" '
+        f'viewBox="{_n(-printed.width / 2)} {_n(-printed.height / 2)} '
+        f'{_n(printed.width)} {_n(printed.height)}">\n'
+        f"<title>{escape(printed.title)}</title>\n{body}\n</svg>\n"
     )
 
 
@@ -154,7 +155,7 @@ def _n(value: float) -> str:
     return f"{round(value, 5) + 0.0:.5f}".rstrip("0").rstrip(".")
 
 
-def write_pdf(sheets: Sequence[PrintedPage]) -> bytes:
+def write_pdf(printed_pages: Sequence[PrintedPage]) -> bytes:
     """Write the pages as a PDF, vectors at 1:1."""
     from matplotlib import rc_context
     from matplotlib.backends.backend_pdf import PdfPages
@@ -164,30 +165,32 @@ def write_pdf(sheets: Sequence[PrintedPage]) -> bytes:
         rc_context({"pdf.fonttype": 42, "pdf.compression": 0}),
         PdfPages(out, metadata={"CreationDate": None, "Creator": "mjtactile"}) as pages,
     ):
-        for sheet in sheets:
-            pages.savefig(_figure(sheet))
+        for printed in printed_pages:
+            pages.savefig(_figure(printed))
     return out.getvalue()
 
 
 _DOTS_PER_MM = 10.0
 
 
-def write_png(sheet: PrintedPage, half_x: float, half_y: float) -> bytes:
+def write_png(printed: PrintedPage, half_x: float, half_y: float) -> bytes:
     """Write the area within the half sizes, mm, around the page center as an image."""
     out = io.BytesIO()
-    figure = _figure(PrintedPage(sheet.title, 2 * half_x, 2 * half_y, sheet.shapes))
+    figure = _figure(PrintedPage(printed.title, 2 * half_x, 2 * half_y, printed.shapes))
     figure.savefig(out, format="png", dpi=25.4 * _DOTS_PER_MM, metadata={"Software": None})
     return out.getvalue()
 
 
-def _figure(sheet: PrintedPage) -> Any:
+def _figure(printed: PrintedPage) -> Any:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(sheet.width / 25.4, sheet.height / 25.4))
+    figure = Figure(figsize=(printed.width / 25.4, printed.height / 25.4))
     axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(-sheet.width / 2, sheet.width / 2), ylim=(sheet.height / 2, -sheet.height / 2))
+    axes.set(
+        xlim=(-printed.width / 2, printed.width / 2), ylim=(printed.height / 2, -printed.height / 2)
+    )
     axes.set_axis_off()
-    for shape in sheet.shapes:
+    for shape in printed.shapes:
         _plot_shape(axes, shape)
     return figure
 

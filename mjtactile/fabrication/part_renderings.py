@@ -32,7 +32,7 @@ View = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class RenderedSolid:
     """Solid in an image: `shift` mm along z, and its label ("": none)."""
 
     part: Part
@@ -50,7 +50,7 @@ def view_axes(view: View) -> Array:
 
 
 def render(
-    bodies: Sequence[Body], *, view: View = FRONT, pixels: int = 800, cut: bool = False
+    items: Sequence[RenderedSolid], *, view: View = FRONT, pixels: int = 800, cut: bool = False
 ) -> tuple[Array, list[Array | None]]:
     """Render an image (h, w, 3) with values from 0 to 1; `cut` removes the half y < 0.
 
@@ -58,22 +58,22 @@ def render(
     """
     axes = view_axes(view)
     corners = []
-    for body in bodies:
-        solid = body.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else body.solid
-        corners.append((triangles_of(solid) + (0, 0, body.shift)) @ axes.T)
+    for item in items:
+        solid = item.solid.trim_by_plane((0.0, 1.0, 0.0), 0.0) if cut else item.solid
+        corners.append((triangles_of(solid) + (0, 0, item.shift)) @ axes.T)
     every = np.concatenate(corners)
     low = every.reshape(-1, 3).min(axis=0)
     high = every.reshape(-1, 3).max(axis=0)
     every = (every - (low + high) / 2) / (_BORDER * (high - low)[0] / 2)
     rows = max(round(pixels * (high - low)[1] / (high - low)[0]), 60)
     size = rows * _SAMPLES, pixels * _SAMPLES
-    body_of = np.repeat(np.arange(len(bodies)), [len(triangles) for triangles in corners])
-    colours = _shaded(every, np.array([body.part.colour for body in bodies])[body_of])
-    seen, depth = _paint(every, size)
-    image = np.vstack([colours, np.ones((1, 3))])[seen]
+    owner_of = np.repeat(np.arange(len(items)), [len(triangles) for triangles in corners])
+    colours = _shaded(every, np.array([item.part.colour for item in items])[owner_of])
+    nearest, depth = _paint(every, size)
+    image = np.vstack([colours, np.ones((1, 3))])[nearest]
     image[_depth_edges(depth)] = _LINE
-    owners = np.append(body_of, -1)[seen]
-    anchors = [_anchor(owners == index) for index in range(len(bodies))]
+    owners = np.append(owner_of, -1)[nearest]
+    anchors = [_anchor(owners == index) for index in range(len(items))]
     return image.reshape(rows, _SAMPLES, pixels, _SAMPLES, 3).mean(axis=(1, 3)), anchors
 
 
@@ -86,12 +86,12 @@ def _shaded(corners: Array, rgb: Array) -> Array:
 
 def _paint(corners: Array, size: tuple[int, int]) -> tuple[NDArray[np.int64], Array]:
     """Return the index (-1: none) and depth (-inf) of the nearest triangle at each pixel."""
-    body_of = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
-    seen = np.full((*size, 3), -1.0)
+    owner_of = np.repeat(np.arange(len(corners), dtype=float)[:, None], 3, axis=1)
+    nearest = np.full((*size, 3), -1.0)
     depth = np.full(size, -np.inf)
     corners = np.ascontiguousarray(corners)
-    kernel("paint_triangles")(len(corners), corners, body_of, *size, depth, seen)
-    return seen[..., 0].astype(np.int64), depth
+    kernel("paint_triangles")(len(corners), corners, owner_of, *size, depth, nearest)
+    return nearest[..., 0].astype(np.int64), depth
 
 
 def _depth_edges(depth: Array) -> Array:
@@ -103,17 +103,19 @@ def _depth_edges(depth: Array) -> Array:
     return found
 
 
-def _anchor(seen: Array) -> Array | None:
+def _anchor(visible: Array) -> Array | None:
     """Return a pixel (right, down) well inside a solid's visible area; None if it is hidden."""
-    if not seen.any():
+    if not visible.any():
         return None
-    distance = cv2.distanceTransform(np.pad(seen, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
-    return np.array(np.unravel_index(int(np.argmax(distance)), seen.shape)[::-1]) / _SAMPLES
+    distance = cv2.distanceTransform(np.pad(visible, 1).astype(np.uint8), cv2.DIST_L2, 3)[
+        1:-1, 1:-1
+    ]
+    return np.array(np.unravel_index(int(np.argmax(distance)), visible.shape)[::-1]) / _SAMPLES
 
 
-def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
+def save_png(items: Sequence[RenderedSolid], name: str, **view: Any) -> bytes | None:
     """Return the labeled image as PNG; None, with a message on stderr, without matplotlib."""
-    image, anchors = render(bodies, **view)
+    image, anchors = render(items, **view)
     rows, columns = image.shape[:2]
     margin = 60
     figure = new_figure(name, (columns / 100, (rows + 2 * margin) / 100), dpi=100)
@@ -124,8 +126,8 @@ def save_png(bodies: Sequence[Body], name: str, **view: Any) -> bytes | None:
     axes.imshow(image, interpolation="nearest")
     axes.set(xlim=(0, columns), ylim=(rows + margin, -margin))
     axes.set_axis_off()
-    pairs = zip(bodies, anchors, strict=True)
-    labels = [(anchor, body.label) for body, anchor in pairs if anchor is not None and body.label]
+    pairs = zip(items, anchors, strict=True)
+    labels = [(anchor, item.label) for item, anchor in pairs if anchor is not None and item.label]
     _label(axes, labels, rows, columns, margin)
     out = io.BytesIO()
     figure.savefig(out, format="png", metadata={"Software": None})
@@ -170,9 +172,9 @@ def explode(parts: Mapping[str, Part], order: Sequence[str]) -> dict[str, float]
 
 def bodies_of(
     parts: Mapping[str, Part], solids: Mapping[str, Any], shifts: Mapping[str, float]
-) -> list[Body]:
+) -> list[RenderedSolid]:
     """Return the solids of an image: those in `shifts`, by name."""
     return [
-        Body(parts[name], solids[name], shift, name.replace("_", " "))
+        RenderedSolid(parts[name], solids[name], shift, name.replace("_", " "))
         for name, shift in shifts.items()
     ]

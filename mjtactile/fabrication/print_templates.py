@@ -120,7 +120,7 @@ def _register(layout: Layout, scale: float) -> list[DrawingShape]:
 
 
 def fiducial_page(layout: Layout) -> PrintedPage | None:
-    """Return the page of the fiducial circles, as the camera sees them; None without fiducials.
+    """Return the page of the fiducial circles, as in the camera image; None without fiducials.
 
     They are cut out and glued to the lip's inner face, or transfer-printed on the glass.
     """

@@ -70,7 +70,7 @@ class DynamixelGripper:
         self._last_call = scaled_clock.monotonic()
         self._silence = _SILENCE_IDLE
         self._state_time = self._bus_time = self._sent_time = -math.inf
-        self._asked: float | None = None  # when; the answers wait in the port's buffer
+        self._request_time: float | None = None  # s; the answers wait in the port's buffer
         self._poll_index = 0
         self._commanded = False
         self._keeper = threading.Thread(target=self._keep_alive, name="dynamixel", daemon=True)
@@ -258,18 +258,18 @@ class DynamixelGripper:
 
     def _request_all(self) -> None:
         """Request the state of all servos in one transaction, unless a request is pending."""
-        if self._asked is None:
-            self._bus_time = asked = scaled_clock.monotonic()
+        if self._request_time is None:
+            self._bus_time = requested = scaled_clock.monotonic()
             self.bus.request_many(
                 list(self._servos), STATE_START, STATE_SIZE, fast=self._bus_config.fast_sync
             )
-            self._asked = asked
+            self._request_time = requested
 
     def _refresh(self) -> None:
         """Collect the replies of all servos and record the errors of each."""
         self._request_all()
-        asked = self._asked
-        self._asked = None
+        requested = self._request_time
+        self._request_time = None
         replies, failures = self.bus.answers(
             list(self._servos), STATE_SIZE, fast=self._bus_config.fast_sync
         )
@@ -281,7 +281,7 @@ class DynamixelGripper:
             if not self._reread(self._servos[servo_id], error)
         ]
         # Servos measure after the request, so that the reported age is an upper bound.
-        self._state_time = self._state_time if lost or asked is None else asked
+        self._state_time = self._state_time if lost or requested is None else requested
 
     def _reread(self, servo: Servo, error: BusError) -> bool:
         """Query a servo again, once, after a lost or damaged reply; return True if it answered."""

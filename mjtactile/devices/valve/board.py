@@ -285,7 +285,7 @@ class ValveBoard:
 
         Damaged lines and late replies to other commands are skipped.
         """
-        asked = scaled_clock.monotonic()
+        requested = scaled_clock.monotonic()
         damaged = 0
         while True:
             while (end := self._received.find(b"\n")) >= 0:
@@ -300,7 +300,7 @@ class ValveBoard:
             waiting = self._serial.in_waiting  # pyright: ignore[reportAttributeAccessIssue]
             data = self._serial.read(max(1, waiting))
             self._received += data
-            waited = scaled_clock.monotonic() - asked
+            waited = scaled_clock.monotonic() - requested
             # received data is read first: this thread may be late
             if waited > timeout and (not data or waited > 2 * timeout):
                 raise _NoReply(
@@ -310,7 +310,7 @@ class ValveBoard:
 
     def _read(self, channel: int, timeout: float | None = None) -> ValveReading:
         # the board measures after this, so that the reported age is an upper bound
-        asked = scaled_clock.monotonic()
+        requested = scaled_clock.monotonic()
         reply = self._ask(f"state {channel}", timeout)
         match = re.fullmatch(
             rf"state {channel} ({'|'.join(protocol.STATES)}) (-?\d+|-) "
@@ -320,7 +320,9 @@ class ValveBoard:
         if match is None:
             raise DeviceError(f"valve board {self.name}: unreadable answer {reply[:60]!r}")
         gauge = None if match[2] == "-" or not self.has_sensors else float(match[2])
-        reading = ValveReading(protocol.STATES[match[1]], gauge, asked, protocol.FAULTS[match[3]])
+        reading = ValveReading(
+            protocol.STATES[match[1]], gauge, requested, protocol.FAULTS[match[3]]
+        )
         self._readings[channel] = reading
         self._failures = 0
         return reading

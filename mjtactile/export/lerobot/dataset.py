@@ -116,11 +116,11 @@ def _episode(
     pixels: dict[str, list[Array]] = {
         key: [] for key, feature in features.items() if feature.dtype in ("video", "image")
     }
-    for i, seen in enumerate(episode.cycles()):
+    for i, perceived in enumerate(episode.cycles()):
         for key, feature in features.items():
-            value = feature.value(seen)
+            value = feature.value(perceived)
             if feature.dtype in ("video", "image"):
-                grey = seen.images[list(pixels).index(key)].pixels
+                grey = perceived.images[list(pixels).index(key)].pixels
                 if i % 10 == 0:
                     pixels[key].append(grey[::4, ::4])
                 if key in videos:

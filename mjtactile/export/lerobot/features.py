@@ -73,16 +73,16 @@ def features_of(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     return found
 
 
-def _state(seen: Perceived) -> Array:
+def _state(perceived: Perceived) -> Array:
     """Return the gripper state and the wrench on each finger."""
-    reported = [float(seen.row[key]) for key in _STATE]
-    wrenches = np.array(list(seen.row["wrench"]), float)
+    reported = [float(perceived.row[key]) for key in _STATE]
+    wrenches = np.array(list(perceived.row["wrench"]), float)
     return np.concatenate([reported, np.ravel(wrenches)])
 
 
-def _action(seen: Perceived) -> Array:
+def _action(perceived: Perceived) -> Array:
     """Return the command."""
-    return np.array([float(seen.row[key]) for key in _ACTION])
+    return np.array([float(perceived.row[key]) for key in _ACTION])
 
 
 def _policy_columns(episode: RecordedEpisode) -> dict[str, Feature]:
@@ -90,10 +90,10 @@ def _policy_columns(episode: RecordedEpisode) -> dict[str, Feature]:
     data = episode.policy
     return {
         "policy.observation": Feature(
-            "float32", list(data.names), lambda seen: data.observations[seen.cycle]
+            "float32", list(data.names), lambda perceived: data.observations[perceived.cycle]
         ),
         "policy.action": Feature(
-            "float32", list(ACTION_NAMES), lambda seen: data.actions[seen.cycle]
+            "float32", list(ACTION_NAMES), lambda perceived: data.actions[perceived.cycle]
         ),
     }
 
@@ -105,11 +105,13 @@ def _result_columns(episode: RecordedEpisode) -> dict[str, Feature]:
     success = episode.outcome == SUCCESS
     return {
         "next.reward": Feature(
-            "float32", ["reward"], lambda seen: np.array([reward * (seen.cycle == last)])
+            "float32", ["reward"], lambda perceived: np.array([reward * (perceived.cycle == last)])
         ),
-        "next.done": Feature("bool", ["done"], lambda seen: np.array([seen.cycle == last])),
+        "next.done": Feature(
+            "bool", ["done"], lambda perceived: np.array([perceived.cycle == last])
+        ),
         "next.success": Feature(
-            "bool", ["success"], lambda seen: np.array([success and seen.cycle == last])
+            "bool", ["success"], lambda perceived: np.array([success and perceived.cycle == last])
         ),
     }
 
@@ -132,8 +134,8 @@ def _image_columns(episode: RecordedEpisode, images: str) -> dict[str, Feature]:
     return found
 
 
-def _image_file(seen: Perceived, finger: int) -> Path:
-    return seen.files[finger]
+def _image_file(perceived: Perceived, finger: int) -> Path:
+    return perceived.files[finger]
 
 
 def _marker_columns(episode: RecordedEpisode) -> dict[str, Feature]:
@@ -155,17 +157,17 @@ def _column(episode: RecordedEpisode, key: str) -> dict[str, Feature]:
     if key not in LISTS and not np.prod(column.shape[1:]):
         return {}  # default for a rig without valves
 
-    def numbers(seen: Perceived) -> Array:
-        return np.ravel(np.asarray(seen.row[key], float))
+    def numbers(perceived: Perceived) -> Array:
+        return np.ravel(np.asarray(perceived.row[key], float))
 
     if key not in LISTS and column.dtype != object:
         return {name: Feature("float64", part_names(episode, key), numbers)}
     if not isinstance(column[0], (list, tuple, np.ndarray)):
-        return {name: Feature("string", [key], lambda seen: _text(seen.row[key]))}
+        return {name: Feature("string", [key], lambda perceived: _text(perceived.row[key]))}
     found = {}
     for k, finger in enumerate(episode.fingers):
         found[f"{name}.{finger}"] = Feature(
-            "string", [finger], lambda seen, k=k: _text(seen.row[key][k])
+            "string", [finger], lambda perceived, k=k: _text(perceived.row[key][k])
         )
     return found
 
@@ -174,9 +176,9 @@ def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(to_json(value))
 
 
-def _markers(seen: Perceived, finger: int, count: int) -> Array:
+def _markers(perceived: Perceived, finger: int, count: int) -> Array:
     """Return the positions (3 count,) m in S; NaN for an undetected marker."""
     p_SM = np.full((count, 3), np.nan)
-    if seen.touch and (markers := seen.touch[finger].markers) is not None:
+    if perceived.touch and (markers := perceived.touch[finger].markers) is not None:
         p_SM[markers.ids] = markers.p_SM
     return p_SM.ravel()
