@@ -18,6 +18,7 @@ from scipy.interpolate import RectBivariateSpline
 from benchmarks.paper import marker_scenes, sine_rule
 from benchmarks.paper.marker_accuracy import CAMERA
 from benchmarks.paper.marker_methods import blob_centres, opencv_ellipses
+from benchmarks.perception.delaunay import reconstruct_delaunay
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.geometry import normal_from_slope
 from mjtactile.core.optics import Camera
@@ -25,7 +26,6 @@ from mjtactile.core.types import Array, Image
 from mjtactile.sensing.image.markers import detect
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pose.circles import estimate_poses
-from mjtactile.sensing.surface.delaunay import reconstruct_delaunay
 from mjtactile.sensing.surface.surface import Spline, grid_of
 
 # radius m, indentation m, 1/m

@@ -8,10 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from benchmarks.reference_cases.cases import Case
 from benchmarks.scenes.stress_scenes import Body, FloatWorld, PinchWorld
+from mjtactile.core.types import Array
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
@@ -243,9 +245,7 @@ def _slid(case: Case, step: float, sign: float) -> float:
     fractions = []
     mu = case.design.membrane.friction
     direction = np.array([sign, 0.0, 0.0])
-    world.after_each_step(
-        lambda: fractions.append(ground_truth.friction_along(world, 0, mu, direction))
-    )
+    world.after_each_step(lambda: fractions.append(_friction_along(world, 0, mu, direction)))
     world.drive(
         1e-3 * plan["depth_mm"], sign * 1e-3 * plan["drag_mm"], speed=1e-3 * plan["speed_mm_s"]
     )
@@ -285,3 +285,27 @@ _MEASURES: dict[str, Callable[[Case], list[Number]]] = {
     "slide": _slide,
     "spin": _spin,
 }
+
+
+def _friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
+    """Return the friction on membrane `sensor` along `direction` (3,) over `mu` times the normal
+    force.
+
+    The direction, in W, is projected onto each contact's plane. The result is 1 if all of the
+    membrane is dragged in that direction, -1 in the opposite direction.
+    """
+    data = world.data
+    device = world.sensors[sensor]
+    force = np.zeros(6)
+    sums = np.zeros(2)
+    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids)
+    for row in np.flatnonzero(on_membrane.any(axis=1) & (data.contact.efc_address >= 0)):
+        mujoco.mj_contactForce(world.model, data, row, force)
+        axes = data.contact.frame[row].reshape(3, 3)
+        # direction of the friction force, which acts on the contact's second geom
+        plane = axes[1:] @ direction
+        sums += (
+            (1 if on_membrane[row, 1] else -1) * (force[1:3] @ plane) / np.linalg.norm(plane),
+            mu * force[0],
+        )
+    return float(sums[0] / sums[1])

@@ -93,30 +93,6 @@ def step_batch_forces(world: World) -> Array:
     return -world.batch_forces[:, :, 2]
 
 
-def friction_along(world: World, sensor: int, mu: float, direction: Array) -> float:
-    """Return the friction on membrane `sensor` along `direction` (3,) over `mu` times the normal
-    force.
-
-    The direction, in W, is projected onto each contact's plane. The result is 1 if all of the
-    membrane is dragged in that direction, -1 in the opposite direction.
-    """
-    data = world.data
-    device = world.sensors[sensor]
-    force = np.zeros(6)
-    sums = np.zeros(2)
-    on_membrane = np.isin(data.contact.geom, device.vertex_geom_ids)
-    for row in np.flatnonzero(on_membrane.any(axis=1) & (data.contact.efc_address >= 0)):
-        mujoco.mj_contactForce(world.model, data, row, force)
-        axes = data.contact.frame[row].reshape(3, 3)
-        # direction of the friction force, which acts on the contact's second geom
-        plane = axes[1:] @ direction
-        sums += (
-            (1 if on_membrane[row, 1] else -1) * (force[1:3] @ plane) / np.linalg.norm(plane),
-            mu * force[0],
-        )
-    return float(sums[0] / sums[1])
-
-
 def sliding(world: World, sensor: int) -> tuple[float, float]:
     """Return the sliding fraction and sliding speed of membrane `sensor` on the contacting object.
 

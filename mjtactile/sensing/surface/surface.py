@@ -21,7 +21,7 @@ fourth term, much weakened, keeps the fit finite.
 The arithmetic is in mjtactile/kernels/smoothing_spline.c. The Hessian is banded, because splines
 overlap only their neighbors.
 
-The paper's own method is in `mjtactile.sensing.surface.delaunay`.
+The paper's own method is in `benchmarks/perception/delaunay.py`.
 """
 
 from __future__ import annotations

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline, RectBivariateSpline
 
+from benchmarks.perception.delaunay import reconstruct_delaunay
 from mjtactile.core import geometry
 from mjtactile.core.bspline import Cubic
 from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Markers
 from mjtactile.sensing.force.slopes import slope_sd_of
-from mjtactile.sensing.surface.delaunay import reconstruct_delaunay
 from mjtactile.sensing.surface.surface import SurfaceFitter
 
 L = 40e-3
