@@ -6,16 +6,14 @@ It estimates the paper's constant c (dF = c dA) and the scale of the inverse fin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mjtactile.calibrate.result_io import fit_line
-from mjtactile.core.calibration import Calibration
 from mjtactile.core.calibration_parts import CalibrationMetadata, ForceScale
-from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array, Image
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
@@ -89,26 +87,6 @@ class ForceCalibration:
                 for t, f, a in zip(self.true, self.estimated, self.area_change, strict=True)
             ],
         }
-
-
-def ready_perception(
-    design: SensorDesign,
-    calibration: Calibration,
-    flat: Sequence[Image],
-    rest: Sequence[Image],
-    reading: float | None,
-) -> StatefulPipeline:
-    """Return a perception pipeline with references from these images, without a force scale.
-
-    `reading` is the pressure sensor's value in the rest images, Pa (None: no sensor). Raises
-    DeviceError when the images do not agree with the sensor file.
-    """
-    perception = StatefulPipeline.of(design, replace(calibration, force=None))
-    perception.measure_flat_reference(flat)
-    perception.measure_rest_reference(
-        rest, design.chamber.supply_gauge if reading is None else calibration.pressure(reading)
-    )
-    return perception
 
 
 def mean_force(perception: StatefulPipeline, images: Sequence[Image]) -> tuple[float, float]:

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.calibration import calibration_from_table, pressure_reading
+from mjtactile.core.calibration import calibration_from_table
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
-from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Array
 from mjtactile.explore.grip_scan import GripCycle, grips_of, patches_of_grip
 from mjtactile.explore.patch_from_touch import Pressed, patch_from_press
@@ -18,8 +17,7 @@ from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.recording.stage_protocol import Move, stage_from_note
-from mjtactile.rig.registry import build_rig
-from mjtactile.runtime.session import Session
+from mjtactile.runtime.re_estimation import replay_session, replay_touches, zeroed_pipeline
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 _MIN_FORCE = 0.08  # minimum force for a shape estimate, N
@@ -52,10 +50,10 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
         raise InputError("has no reference images (flat and rest)", source=recording.folder)
     if "stage" in recording.notes:
         return _of_presses(recording)
-    rig = build_rig(Scenario(rig=f"replay:{recording.folder}"))
-    session = Session(rig)
-    session.take_references()
-    cycles = _re_estimate(recording, session)
+    session = replay_session(recording)
+    rig = session.rig
+    values = (recording.column(name)[:, 0].tolist() for name in ("opening", "lift_height"))
+    cycles = list(map(GripCycle, replay_touches(recording, session), *values))
     if len(rig.fingers) != 2 or not any(math.isfinite(cycle.opening) for cycle in cycles):
         raise InputError(
             "is neither a grip of two fingers nor an indentation on a stage",
@@ -66,23 +64,6 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
     for grip_number, grip in enumerate(grips_of(cycles), group):
         patches += patches_of_grip(grip, session.perceptions, designs, yaw=yaw, group=grip_number)
     return patches
-
-
-def _re_estimate(recording: Recording, session: Session) -> list[GripCycle]:
-    """Estimate touches again from every cycle's images, with opening and gripper height."""
-    cycles = []
-    for cycle, images in enumerate(recording.images()):
-        now = float(recording.column("time")[cycle, 0])
-        readings = [pressure_reading(valve) for valve in recording.valves(cycle)]
-        readings += [None] * (len(images) - len(readings))
-        touch = tuple(
-            pipeline.perceive(image, now, reading)
-            for pipeline, image, reading in zip(session.perceptions, images, readings, strict=True)
-        )
-        opening = float(recording.column("opening")[cycle, 0])
-        height = float(recording.column("lift_height")[cycle, 0])
-        cycles.append(GripCycle(touch, opening, height))
-    return cycles
 
 
 def _of_presses(recording: Recording) -> list[Patch]:
@@ -135,16 +116,11 @@ def _zeroed(recording: Recording, finger: int, design: SensorDesign) -> Stateful
     calibration = None
     if name in tables:
         calibration = calibration_from_table(tables[name], str(recording.folder))
-    perception = StatefulPipeline.of(design, calibration)
     flat, rest = recording.references
-    perception.measure_flat_reference(list(flat.images(finger)))
-    gauge = rest.gauge_pressure[finger] if finger < len(rest.gauge_pressure) else None
-    if gauge is None or math.isnan(gauge):
-        gauge = design.chamber.supply_gauge
-    elif calibration is not None:
-        gauge = calibration.pressure(gauge)
-    perception.measure_rest_reference(list(rest.images(finger)), gauge)
-    return perception
+    reading = rest.gauge_pressure[finger] if finger < len(rest.gauge_pressure) else None
+    return zeroed_pipeline(
+        design, calibration, list(flat.images(finger)), list(rest.images(finger)), reading
+    )
 
 
 def _driven(moves: tuple[Move, ...], times: Array) -> tuple[Array, Array]:

@@ -31,6 +31,7 @@ from mjtactile.recording.policy_data import PolicyData, policy_data
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.recorded_sensors import recorded_sensors
 from mjtactile.report.overlay import followed
+from mjtactile.runtime.re_estimation import zeroed_pipeline
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 T = TypeVar("T")
@@ -239,15 +240,14 @@ class RecordedEpisode:
             return ()
 
     def _perception(self, index: int, finger: str, flat: Any, rest: Any) -> StatefulPipeline:
-        design = self._designs[finger]
-        perception = StatefulPipeline.of(design, calibration := self.calibrations[finger])
-        perception.measure_flat_reference(list(flat.images(index)))
-        gauge = rest.gauge_pressure[index] if index < len(rest.gauge_pressure) else None
-        if gauge is None or math.isnan(gauge):
-            gauge = design.chamber.supply_gauge
-        elif calibration is not None:
-            gauge = calibration.pressure(gauge)
-        perception.measure_rest_reference(list(rest.images(index)), gauge)
+        reading = rest.gauge_pressure[index] if index < len(rest.gauge_pressure) else None
+        perception = zeroed_pipeline(
+            self._designs[finger],
+            self.calibrations[finger],
+            list(flat.images(index)),
+            list(rest.images(index)),
+            reading,
+        )
         perception.contact_shapes = self.recording.has_shapes
         return perception
 

@@ -8,18 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 from mjtactile.core.errors import MjtactileError
-from mjtactile.core.scenario import Scenario
 from mjtactile.core.types import Image, Touch
 from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.writer import Recorder
 from mjtactile.report.page import write_page
 from mjtactile.report.summary_figure import write_figure
-from mjtactile.rig.registry import build_rig
+from mjtactile.runtime.re_estimation import replay_session, replay_touches
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
@@ -71,16 +71,11 @@ def replay_estimate(recording: Recording, on_cycle: Callable[[Seen], None]) -> b
     of all cycles. Raises InputError for a missing image or sensor file.
     """
     session = session_of(recording)
-    perceptions = [] if session is None else session.perceptions
-    for cycle, images in enumerate(recording.images()):
-        time = recording.column("time")[cycle, 0]
-        readings = () if session is None else session.rig.readings(recording.valves(cycle))
-        touch = [
-            perception.perceive(image, float(time), reading)
-            for perception, image, reading in zip(perceptions, images, readings, strict=False)
-        ]
+    touches = repeat(()) if session is None else replay_touches(recording, session)
+    times = recording.column("time")[:, 0].tolist()
+    for time, images, touch in zip(times, recording.images(), touches, strict=False):
         if images:
-            on_cycle(ReplayedCycle(float(time), images, tuple(touch)))
+            on_cycle(ReplayedCycle(time, images, touch))
     return session is not None
 
 
@@ -91,10 +86,7 @@ def session_of(recording: Recording) -> Session | None:
     """
     if len(recording.references) < 2 or not all(len(n) for n in recording.columns["images"]):
         return None
-    rig = build_rig(Scenario(rig=f"replay:{recording.folder}"))
-    session = Session(rig, contact_shapes=recording.has_shapes)
-    session.take_references()
-    return session
+    return replay_session(recording, contact_shapes=recording.has_shapes)
 
 
 def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list[tuple[Seen, Any]]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mjtactile.core.calibration import pressure_reading
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags
 from mjtactile.core.scenario import Scenario
@@ -19,10 +18,10 @@ from mjtactile.core.types import Material, Touch
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.recording.reader import Recording
 from mjtactile.recording.recorded_sensors import recorded_sensors
-from mjtactile.rig.registry import build_rig
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.cycle import Cycle
-from mjtactile.runtime.session import Session, open_session
+from mjtactile.runtime.re_estimation import replay_session, replay_touches
+from mjtactile.runtime.session import open_session
 from mjtactile.sensing.settings import DEFAULTS, Settings
 from mjtactile.sensing.touch.material import estimate_material
 from mjtactile.sensing.touch.squeeze import Squeeze
@@ -136,19 +135,9 @@ def replay_probe(
         message = "has no reference images (flat and rest): the sensors cannot be zeroed"
         raise InputError(message, source=recording.folder)
     sensors = recorded_sensors(recording, sensor)
-    rig = build_rig(Scenario(rig=f"replay:{recording.folder}"))
-    session = Session(rig, settings=settings, contact_shapes=recording.has_shapes)
-    session.take_references()
-    perceptions = session.perceptions
+    session = replay_session(recording, settings=settings, contact_shapes=recording.has_shapes)
     log = _Log()
-    for cycle, images in enumerate(recording.images()):
-        now = float(recording.columns["time"][cycle])
-        readings = [pressure_reading(valve) for valve in recording.valves(cycle)]
-        readings += [None] * (len(images) - len(readings))
-        touch = [
-            perception.perceive(image, now, reading)
-            for perception, image, reading in zip(perceptions, images, readings, strict=True)
-        ]
+    for cycle, touch in enumerate(replay_touches(recording, session)):
         log.keep(
             touch,
             float(recording.columns["opening"][cycle]),

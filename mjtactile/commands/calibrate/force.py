@@ -164,7 +164,7 @@ def _lines(fit: Any) -> list[str]:
 def _recorded(
     options: argparse.Namespace, goal: output_options.OutputFile
 ) -> tuple[list[Any], Loads]:
-    before = goal.load().used(goal.design)
+    before = _without_scale(goal)
     if options.recording is not None:
         pipeline, loads = _recording(options, goal, before)
     else:
@@ -172,6 +172,11 @@ def _recorded(
         loads = _table(options.source, goal.design)
         pipeline = _references(options, goal, before)
     return [pipeline], ((name, force, [images]) for name, force, images in loads)
+
+
+def _without_scale(goal: output_options.OutputFile) -> Calibration:
+    """Return the other parts of the finger's calibration."""
+    return replace(goal.load().used(goal.design), force=None)
 
 
 def _references(
@@ -182,13 +187,13 @@ def _references(
     Without them, the references come from the calibration's own part `frame`.
     """
     from mjtactile import SensingPipeline, StatefulPipeline
-    from mjtactile.calibrate.force import ready_perception
+    from mjtactile.runtime.re_estimation import zeroed_pipeline
 
     if options.flat is not None and options.rest is not None:
         reading = None if options.pressure is None else 1e3 * options.pressure
         flat, rest = (_images(source, goal.design) for source in (options.flat, options.rest))
-        return ready_perception(goal.design, before, flat, rest, reading)
-    pipeline = SensingPipeline(goal.design, replace(before, force=None))
+        return zeroed_pipeline(goal.design, before, flat, rest, reading)
+    pipeline = SensingPipeline(goal.design, before)
     state = pipeline.restored_state()
     if state.reference is None:
         message = (
@@ -234,8 +239,8 @@ def _recording(
     import numpy as np
 
     from mjtactile import load_recording
-    from mjtactile.calibrate.force import ready_perception
     from mjtactile.calibrate.result_io import read_columns
+    from mjtactile.runtime.re_estimation import zeroed_pipeline
     from mjtactile.types import FINGERS
 
     recording = load_recording(options.recording)
@@ -245,7 +250,7 @@ def _recording(
         raise InputError(message, source=options.recording, field="--recording")
     flat, rest = recording.references
     reading = rest.gauge_pressure[finger] if rest.gauge_pressure else None
-    pipeline = ready_perception(
+    pipeline = zeroed_pipeline(
         goal.design, before, list(flat.images(finger)), list(rest.images(finger)), reading
     )
     table = read_columns(options.source, ("time_s", "force_N"), fewest=2)
@@ -280,8 +285,8 @@ def _live(
 ) -> tuple[list[Any], Loads]:
     """References and loads of fingers of a rig; only with a load cell do the jaws move."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
-    from mjtactile.calibrate.force import ready_perception
     from mjtactile.calibrate.interactive import keepalive, reference_images
+    from mjtactile.runtime.re_estimation import zeroed_pipeline
 
     masses = _masses(options)
     design = load_sensor(options.sensor)
@@ -301,7 +306,7 @@ def _live(
         indices = output_options.camera_indices(targets, rig_file)
         with keepalive(rig.gripper):
             pipelines = [
-                ready_perception(goal.design, goal.load().used(goal.design), *snapshots[index])
+                zeroed_pipeline(goal.design, _without_scale(goal), *snapshots[index])
                 for goal, index in zip(targets, indices, strict=True)
             ]
         if options.load_cell or emulator is not None:
