@@ -17,7 +17,7 @@ from mjtactile.core.calibration_parts import CalibrationMetadata
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.recording.files import to_json, versions, write_json
+from mjtactile.recording.files import to_json, versions, write_json, write_text
 
 _LARGEST = 1 << 25  # maximum size of a table, bytes
 
@@ -62,11 +62,7 @@ def write_yaml(path: Path, value: Mapping[str, Any]) -> None:
     """Write `value` as YAML atomically."""
     import yaml  # only this function needs it
 
-    part = path.with_name(path.name + ".part")
-    part.write_text(
-        yaml.safe_dump(to_json(value), sort_keys=False, default_flow_style=None), encoding="utf-8"
-    )
-    part.replace(path)
+    write_text(path, yaml.safe_dump(to_json(value), sort_keys=False, default_flow_style=None))
 
 
 def read_columns(

@@ -20,6 +20,7 @@ from mjtactile.core.types import Array
 from mjtactile.devices.camera.opencv import OpenCvCamera
 from mjtactile.devices.camera.v4l2 import video_devices
 from mjtactile.devices.discovery import SerialPort, serial_ports, servos_at, valve_board_at
+from mjtactile.recording.files import write_text
 from mjtactile.rig.file import UNFLIPPED, CameraConfig, RigFile, load_rig_file, rig_from_table
 
 Ask = Callable[[str], str]
@@ -291,9 +292,7 @@ def _write(path: Path, changes: Mapping[Place, object]) -> None:
     InputError."""
     text = edited(path.read_text(encoding="utf-8"), changes)
     rig_from_table(tomllib.loads(text), path)
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    write_text(path, text)
 
 
 def edited(text: str, changes: Mapping[Place, object]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -148,14 +149,8 @@ def run(options: argparse.Namespace) -> int:
         return _against(options)
     if options.screening_sample is not None:
         return _screen(options)
-    if options.out is None and options.resume:
-        raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
-    if options.out is None:
-        with new_run_folder("evaluate") as out:
-            summary = _evaluate(options, out)
-    else:
-        out = options.out
-        summary = _evaluate(options, options.out)
+    with _folder(options) as out:
+        summary = _evaluate(options, out)
     write_json(out / "summary.json", summary)
     (out / "summary.md").write_text(table(summary), encoding="utf-8")
     if options.readme is not None:
@@ -167,6 +162,15 @@ def run(options: argparse.Namespace) -> int:
         options, summary, f"{table(summary)}\nwritten to {out}; open {out / 'report.html'}"
     )
     return 0
+
+
+def _folder(options: argparse.Namespace) -> contextlib.AbstractContextManager[Path]:
+    """Provide the folder of the results. Raises InputError for --resume without it."""
+    if options.out is not None:
+        return contextlib.nullcontext(options.out)
+    if options.resume:
+        raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
+    return new_run_folder("evaluate")
 
 
 def _screen(options: argparse.Namespace) -> int:
@@ -227,28 +231,17 @@ def _against(options: argparse.Namespace) -> int:
     for name in _FIXED:
         if getattr(options, name) is not None:
             raise InputError(f"the suite {options.suite!r} fixes this option", field=f"--{name}")
-    if options.out is None and options.resume:
-        raise InputError("which folder?", field="--resume", choices=["--resume --out DIR"])
     suite = suites.load_suite(options.suite)
-
-    def compare(out: Path) -> dict[str, Any]:
-        with stdout_to_stderr():
-            if options.controller or not options.resume:
-                suites.run_suite(
-                    suite,
-                    out,
-                    controllers=options.controller or [_DEFAULT.controller],
-                    count=options.episodes,
-                    running=_running(options),
-                )
-            return suites.compare(suite, out)
-
-    if options.out is None:
-        with new_run_folder("evaluate") as out:
-            result = compare(out)
-    else:
-        out = options.out
-        result = compare(out)
+    with _folder(options) as out, stdout_to_stderr():
+        if options.controller or not options.resume:
+            suites.run_suite(
+                suite,
+                out,
+                controllers=options.controller or [_DEFAULT.controller],
+                count=options.episodes,
+                running=_running(options),
+            )
+        result = suites.compare(suite, out)
     table = suites.table(suite, result)
     write_json(out / f"{suite.name}.json", result)
     (out / f"{suite.name}.md").write_text(table, encoding="utf-8")

@@ -10,7 +10,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.design_study.resolution import BALL_RADIUS, ResolutionPredictor, ball
-from mjtactile.design_study.score import MAX_FORCE_ERROR, RANGE_RADIUS
+from mjtactile.design_study.score import MAX_FORCE_ERROR, RANGE_RADIUS, rms
 from mjtactile.design_study.virtual_bench import VirtualBench
 from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
@@ -195,13 +195,9 @@ def verdict(presses: list[Checked]) -> PredictionCheck:
     )
     return PredictionCheck(
         len(presses),
-        _rms(error / force_sd),
-        _rms(center_errors / position_sd[:, None]),
-        _rms(error / reported),
-        _rms(error),
-        _rms(center_errors),
+        rms(error / force_sd),
+        rms(center_errors / position_sd[:, None]),
+        rms(error / reported),
+        rms(error),
+        rms(center_errors),
     )
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
@@ -91,10 +92,10 @@ def score(design: SensorDesign, force: float, *, stand: VirtualBench | None = No
     return Score(
         touch=max(zero.touch_min, seen),
         seen=seen,
-        force_sd=_rms([resolution.force_sd for resolution in resolutions]),
-        noise=_rms([resolution.noise for resolution in resolutions]),
-        position_sd=_rms([resolution.position_sd for resolution in resolutions]),
-        edge_sd=_rms([resolution.edge_sd for resolution in resolutions]),
+        force_sd=rms([resolution.force_sd for resolution in resolutions]),
+        noise=rms([resolution.noise for resolution in resolutions]),
+        position_sd=rms([resolution.position_sd for resolution in resolutions]),
+        edge_sd=rms([resolution.edge_sd for resolution in resolutions]),
         radius=smallest_radius(predictor, positions, force),
         maximum=largest_force(stand),
     )
@@ -104,7 +105,7 @@ def smallest_radius(predictor: ResolutionPredictor, positions: list[Array], forc
     """Return the smallest radius, m, from which on all can be measured; NaN: none."""
     smallest = math.nan
     for radius in reversed(RADII):
-        sd = _rms([predictor.radius_sd(radius, position, force) for position in positions])
+        sd = rms([predictor.radius_sd(radius, position, force) for position in positions])
         if not sd <= MAX_RADIUS_SD:
             break
         smallest = radius
@@ -139,5 +140,6 @@ def _within_tolerance(stand: VirtualBench, force: float) -> bool:
     return bool(abs(-estimated.touch.traction.wrench[2] - force) < MAX_FORCE_ERROR * force)
 
 
-def _rms(values: list[float]) -> float:
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

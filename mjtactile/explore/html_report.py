@@ -3,7 +3,6 @@ needs no network."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from html import escape
@@ -21,8 +20,8 @@ from mjtactile.explore.meshing import mesh_of
 from mjtactile.explore.next_best_touch import Mesh
 from mjtactile.explore.object_size import principal_sizes
 from mjtactile.explore.surface_export import SOFT, colours
-from mjtactile.recording.files import to_json
-from mjtactile.report.html import document, flag_table, table
+from mjtactile.recording.files import write_text
+from mjtactile.report.html import document, flag_table, is_known, script_data, table
 
 _EDGE = 1.6e-3  # triangle edge, m; a browser can rotate this mesh smoothly
 _UNSURE = 1e-3  # standard deviation of the darkest color, m
@@ -67,9 +66,7 @@ def write_page(path: Path, found: ExplorationResult, summary: Mapping[str, Any])
         ],
     }
     page = document(f"{summary.get('object', 'explored')}", _body(data, summary), style=_STYLE)
-    part = path.with_name(path.name + ".part")
-    part.write_text(page, encoding="utf-8")
-    part.replace(path)
+    write_text(path, page)
 
 
 def _sd_colours(mesh: Mesh) -> Array:
@@ -85,7 +82,7 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS
-        if _is_known(summary.get(key))
+        if is_known(summary.get(key))
     ]
     sizes = zip(summary["size_mm"], summary["size_sd_mm"], strict=True)
     size = " x ".join(f"{value:.1f} \u00b1 {sd:.1f}" for value, sd in sizes)
@@ -98,15 +95,9 @@ def _body(data: Mapping[str, Any], summary: Mapping[str, Any]) -> Iterator[str]:
     )
     if summary.get("flags"):
         yield flag_table(read_flags(summary["flags"]))
-    content = json.dumps(to_json(data), allow_nan=False, separators=(",", ":"))
-    safe = content.replace("<", "\\u003c")
-    yield f'<script type="application/json" id="data">{safe}</script>'
+    yield script_data(data)
     script = (Path(__file__).parent / "page.js").read_text(encoding="utf-8")
     yield f"<script>{script}</script>"
-
-
-def _is_known(value: Any) -> bool:
-    return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
 
 
 def _words(value: Any, unit: str) -> str:

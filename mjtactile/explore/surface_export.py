@@ -8,6 +8,7 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.explore.exploration import ExplorationResult
+from mjtactile.fabrication.mesh import write_stl as stl_of
 
 SOFT = 4e-3
 """Compliance with the color of the softest material, m/N."""
@@ -62,9 +63,4 @@ def write_ply(path: Path, found: ExplorationResult) -> None:
 def write_stl(path: Path, found: ExplorationResult) -> None:
     """Write the surface in mm, binary."""
     corners = 1e3 * found.mesh.vertices[found.mesh.triangles]
-    rows = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("_", "<u2")])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    rows["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-12)[:, None]
-    rows["corners"] = corners
-    title = b"mjtactile explore, mm".ljust(80)
-    path.write_bytes(title + np.uint32(len(rows)).tobytes() + rows.tobytes())
+    path.write_bytes(stl_of(corners, b"mjtactile explore, mm"))

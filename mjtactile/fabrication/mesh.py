@@ -63,13 +63,13 @@ def triangles_of(solid: Any) -> Array:
     return np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts)]
 
 
-def write_stl(triangles: Array) -> bytes:
-    """A binary STL file."""
+def write_stl(triangles: Array, title: bytes = b"mm") -> bytes:
+    """Return a binary STL file of triangles (n, 3, 3)."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     rows = np.zeros(len(triangles), np.dtype([("numbers", "<f4", 12), ("none", "<u2")]))
     rows["numbers"] = np.concatenate([normals, triangles.reshape(-1, 9)], axis=1)
-    return b"mm".ljust(80) + np.uint32(len(triangles)).tobytes() + rows.tobytes()
+    return title.ljust(80) + np.uint32(len(triangles)).tobytes() + rows.tobytes()
 
 
 def overlaps(solids: Mapping[str, Any]) -> list[tuple[str, str, float]]:

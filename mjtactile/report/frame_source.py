@@ -90,6 +90,18 @@ def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
     return design.camera.size_mismatch(pixels, "the sensor's camera") or Image(pixels)
 
 
+def read_images(source: Path, design: SensorDesign) -> list[Image]:
+    """Return all images of a source. Raises InputError for one that the sensor cannot have."""
+    images = []
+    folder = source if foreign_file.is_dir(source) else source.parent
+    for frame in read_frames(source):
+        image = to_image(frame, design)
+        if isinstance(image, str):
+            raise InputError(image, source=folder / frame.name, field="image")
+        images.append(image)
+    return images
+
+
 def marker_overlay(image: Image, camera: Camera, design: SensorDesign) -> NDArray[np.uint8]:
     """Return the `overlay` of the markers that are detected in a sensor's image."""
     ellipses = find_ellipses(image)

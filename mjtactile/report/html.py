@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
 from mjtactile.core.flags import Flags
+from mjtactile.recording.files import to_json
 
 _STYLE = """body{font:15px/1.45 sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;
 color:#222}
@@ -51,6 +53,18 @@ def flag_table(flags: Flags) -> str:
 
 def _nan_if_none(value: float, form: str) -> str:
     return format(value, form) if math.isfinite(value) else ""
+
+
+def is_known(value: Any) -> bool:
+    """Return True for a value that a page shows."""
+    return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
+
+
+def script_data(value: Any) -> str:
+    """Return the data of the page's scripts; no text in it can end as a script."""
+    text = json.dumps(to_json(value), allow_nan=False, separators=(",", ":"))
+    safe = text.replace("<", "\\u003c")
+    return f'<script type="application/json" id="data">{safe}</script>'
 
 
 def data_uri(kind: str, content: bytes) -> str:

@@ -14,7 +14,7 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import ask, confirm, finish_all, notify
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.report.frame_source import read_frames, to_image
+from mjtactile.report.frame_source import read_images
 from mjtactile.types import Image
 
 HELP = "estimated force, and the paper's constant c, against weights or a load cell"
@@ -191,7 +191,7 @@ def _references(
 
     if options.flat is not None and options.rest is not None:
         reading = None if options.pressure is None else 1e3 * options.pressure
-        flat, rest = (_images(source, goal.design) for source in (options.flat, options.rest))
+        flat, rest = (read_images(source, goal.design) for source in (options.flat, options.rest))
         return zeroed_pipeline(goal.design, before, flat, rest, reading)
     pipeline = SensingPipeline(goal.design, before)
     state = pipeline.restored_state()
@@ -218,19 +218,9 @@ def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[
         table = read_columns(path, ("force_N",), ("image",))
         forces = table["force_N"]
     return (
-        (image, float(force), _images(path.parent / image, design))
+        (image, float(force), read_images(path.parent / image, design))
         for image, force in zip(table["image"], forces, strict=True)
     )
-
-
-def _images(source: Path, design: SensorDesign) -> list[Image]:
-    images = []
-    for frame in read_frames(source):
-        image = to_image(frame, design)
-        if isinstance(image, str):
-            raise InputError(image, source=source / frame.name, field="image")
-        images.append(image)
-    return images
 
 
 def _recording(

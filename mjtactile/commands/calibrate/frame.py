@@ -12,7 +12,7 @@ from mjtactile.commands import arguments as arg
 from mjtactile.commands.calibrate import output_options
 from mjtactile.commands.calibrate.terminal import finish_all, notify
 from mjtactile.commands.output import stdout_to_stderr
-from mjtactile.report.frame_source import read_frames, to_image
+from mjtactile.report.frame_source import read_images
 from mjtactile.types import Image
 
 HELP = "camera pose and marker radii from the flat membrane"
@@ -97,9 +97,9 @@ sensor, Pa (None: no sensor), and the sealed state of the chamber.
 
 
 def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
-    rest = [] if options.rest is None else _images(options.rest, design)
+    rest = [] if options.rest is None else read_images(options.rest, design)
     pressure = None if options.pressure is None else 1e3 * options.pressure
-    return _images(options.source, design), rest, pressure, options.valve == "closed"
+    return read_images(options.source, design), rest, pressure, options.valve == "closed"
 
 
 def _live(options: argparse.Namespace, targets: list[output_options.OutputFile]) -> list[Taken]:
@@ -111,20 +111,6 @@ def _live(options: argparse.Namespace, targets: list[output_options.OutputFile])
     with live_rig(options.rig, design) as (rig_file, _), live_fingers(rig_file, design) as rig:
         shots = reference_images(rig, notify)
     return [(*shots[index], True) for index in output_options.camera_indices(targets, rig_file)]
-
-
-def _images(source: Path, design: SensorDesign) -> list[Image]:
-    """Return all images of a source.
-
-    Raises InputError for an unusable image, since a calibration must not omit data.
-    """
-    images = []
-    for frame in read_frames(source):
-        image = to_image(frame, design)
-        if isinstance(image, str):
-            raise InputError(image, source=frame.name, field="image")
-        images.append(image)
-    return images
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -11,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mjtactile.recording.files import to_json
+from mjtactile.recording.files import write_text
 from mjtactile.recording.log_schema import Seen
 from mjtactile.recording.reader import Recording
-from mjtactile.report.html import document, flag_table, table
+from mjtactile.report.html import document, flag_table, is_known, script_data, table
 from mjtactile.report.page.data import page_data
 
 _SCRIPTS = ("curves.js", "membranes.js", "moment.js")
@@ -65,9 +64,7 @@ def write_page(
     The `strip` are cycles with their scenes. The page opens at the cycle `snapshot`.
     """
     page = document(_title(summary), _body(recording, strip, summary, snapshot), style=_STYLE)
-    part = path.with_name(path.name + ".part")
-    part.write_text(page, encoding="utf-8")
-    part.replace(path)
+    write_text(path, page)
 
 
 def _title(summary: Mapping[str, Any]) -> str:
@@ -87,7 +84,7 @@ def _body(
         data = page_data(recording, strip, snapshot)
         yield _curves(data)
         yield _moment(data, scene=any(shot["scene"] for shot in data["shots"]))
-        yield f'<script type="application/json" id="data">{_safe(data)}</script>'
+        yield script_data(data)
         scripts = [Path(__file__).parent / name for name in _SCRIPTS]
         yield from (f"<script>{path.read_text(encoding='utf-8')}</script>" for path in scripts)
     else:
@@ -96,18 +93,12 @@ def _body(
     yield _provenance(recording)
 
 
-def _safe(value: Any) -> str:
-    """JSON that no text in it can end as a script."""
-    text = json.dumps(to_json(value), allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c")
-
-
 def _facts(summary: Mapping[str, Any]) -> str:
     summary = {"task": summary.get("scenario", {}).get("task")} | dict(summary)
     rows = [
         [escape(label), escape(_words(summary[key], unit))]
         for key, label, unit in _FACTS
-        if _is_known_kind(summary.get(key))
+        if is_known(summary.get(key))
     ]
     probability = summary.get("probability", {})
     rows += [[escape(kind), f"{100 * p:.0f} %"] for kind, p in probability.items()]
@@ -120,10 +111,6 @@ def _flags(recording: Recording) -> str:
         return ""
     text = "<h2>Flags</h2><p>Causes of reduced accuracy of the simulated forces.</p>"
     return text + flag_table(recording.flags)
-
-
-def _is_known_kind(value: Any) -> bool:
-    return value not in (None, "") and not (isinstance(value, float) and math.isnan(value))
 
 
 def _words(value: Any, unit: str) -> str:
