@@ -17,7 +17,8 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.fit.gauss_newton import Scale, Solution, gauss_newton
 from mjtactile.fit.measurements import Evidence
-from mjtactile.fit.membrane_fit import Simulated, is_fast
+from mjtactile.fit.membrane_fit import is_fast
+from mjtactile.fit.simulated_holds import Simulated
 from mjtactile.sim.sensor.gas import ChamberGas
 
 _OUTLIER = 3.0  # residual, in sd, above which the weight of a reading decreases

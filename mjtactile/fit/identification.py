@@ -21,7 +21,7 @@ from mjtactile.core.types import Array
 from mjtactile.fit.gas import GasFit, Sealed, fit_gas, predict, sealed_runs
 from mjtactile.fit.image_noise import fit_image_noise
 from mjtactile.fit.measurements import Evidence, read_evidence
-from mjtactile.fit.membrane_fit import DEFAULT, FitOptions, MembraneFit, fit_membrane, simulate
+from mjtactile.fit.membrane_fit import DEFAULT, FitOptions, MembraneFit, fit_membrane
 from mjtactile.fit.parameter_info import ABOUT, GAS_FRACTION, correlations
 from mjtactile.fit.result import FIELD, SI, FitResult, HeldOut, covariance_of, fitted_parameters
 from mjtactile.fit.rewrite_sensor_file import rewrite
@@ -33,6 +33,7 @@ from mjtactile.fit.sealed_replay import (
     membrane_errors,
     touches,
 )
+from mjtactile.fit.simulated_holds import simulate
 from mjtactile.recording.reader import load_recording
 from mjtactile.sim.attach import default_mesh
 
@@ -365,7 +366,7 @@ def _report_gas(found: GasFit) -> str:
 def _check(design: SensorDesign, evidence: Evidence, mesh: tuple[int, int] | None) -> list[HeldOut]:
     rows = []
     simulated = simulate(design, evidence, 0.0, mesh)
-    for hold, found in zip((evidence.rest, *evidence.holds), simulated, strict=True):
+    for hold, found in zip(evidence.states, simulated, strict=True):
         move = hold.move
         rows.append(
             HeldOut(

@@ -97,6 +97,11 @@ class Evidence:
     def has_pressure(self) -> bool:
         return math.isfinite(self.rest.pressure)
 
+    @property
+    def states(self) -> tuple[Hold, ...]:
+        """The rest and the holds."""
+        return self.rest, *self.holds
+
 
 def read_evidence(
     path: Path, design: SensorDesign, finger: str, notify: Notify = lambda _: None

@@ -101,7 +101,7 @@ def _plot_markers(axes: Any, result: FitResult) -> None:
     for evidence, holds in zip(result.evidence, result.membrane.holds, strict=True):
         errors = [
             1e6 * float(np.sqrt(np.nanmean(np.square(found.p_SM - hold.p_SM))))
-            for hold, found in zip((evidence.rest, *evidence.holds), holds, strict=True)
+            for hold, found in zip(evidence.states, holds, strict=True)
         ]
         axes.plot(errors, "o-", ms=4, label=evidence.name[-24:])
     axes.set(
@@ -119,7 +119,7 @@ def _plot_map(axes: Any, result: FitResult) -> None:
     errors = [
         found.p_SM[:, 2] - hold.p_SM[:, 2]
         for e, holds in zip(result.evidence, result.membrane.holds, strict=True)
-        for hold, found in zip((e.rest, *e.holds), holds, strict=True)
+        for hold, found in zip(e.states, holds, strict=True)
     ]
     p = 1e3 * result.design.markers.p_SM
     maximum = 1e6 * float(np.nanmax(np.abs(np.nanmean(errors, axis=0))))

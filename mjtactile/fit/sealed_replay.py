@@ -18,13 +18,8 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.fit.gas import Sealed
 from mjtactile.fit.measurements import Evidence
-from mjtactile.fit.membrane_fit import (
-    DISCRETIZATION,
-    MembraneFit,
-    finer_mesh,
-    first_touch,
-    stage_world,
-)
+from mjtactile.fit.membrane_fit import DISCRETIZATION, MembraneFit, first_touch
+from mjtactile.fit.simulated_holds import finer_mesh, stage_world
 from mjtactile.sim.scenes.stage import StageDrive
 from mjtactile.sim.sensor.gas import ChamberGas
 

@@ -23,13 +23,12 @@ from typing import Any
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.renamed import setting_hint
-from mjtactile.sensing.settings.force import (
+from mjtactile.sensing.settings.force import InverseSettings, PriorSettings
+from mjtactile.sensing.settings.force_filters import (
     ContactDetectionSettings,
     FiducialSettings,
     GasFilterSettings,
-    InverseSettings,
     ModelErrorSettings,
-    PriorSettings,
 )
 from mjtactile.sensing.settings.image import (
     CandidateSettings,

@@ -16,6 +16,7 @@ TRIED = "tuned; sensitivity: docs/reference/parameters.md"
 GAUGED = "tuned; sensitivity: bench gas-filter-sensitivity, docs/reference/parameters.md"
 SEEN = "tuned; sensitivity: bench detection-sensitivity, docs/reference/parameters.md"
 PRESSED = "tuned; sensitivity: bench shape-sensitivity, docs/reference/parameters.md"
+SCENES = "bench uncertainty: fitted to scenes with seeds below 1000, which its table excludes"
 _FACTOR = 100.0
 _ORDINALS = ("first", "second", "third", "fourth")
 

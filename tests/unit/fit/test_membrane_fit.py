@@ -9,14 +9,8 @@ import pytest
 from mjtactile.core.design import load_sensor
 from mjtactile.fit.gauss_newton import gauss_newton
 from mjtactile.fit.measurements import Evidence, Hold, Series
-from mjtactile.fit.membrane_fit import (
-    DISCRETIZATION,
-    FitOptions,
-    finer_mesh,
-    fit_membrane,
-    simulate,
-    stage_world,
-)
+from mjtactile.fit.membrane_fit import DISCRETIZATION, FitOptions, fit_membrane
+from mjtactile.fit.simulated_holds import finer_mesh, simulate, stage_world
 from mjtactile.recording.stage_protocol import Move, Stage
 
 # coarse: of the same mesh both times

@@ -10,7 +10,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.fit import sealed_replay
 from mjtactile.fit.gas import Sealed
 from mjtactile.fit.measurements import Evidence, Hold, Series
-from mjtactile.fit.membrane_fit import DISCRETIZATION, MembraneFit, finer_mesh, first_touch
+from mjtactile.fit.membrane_fit import DISCRETIZATION, MembraneFit, first_touch
 from mjtactile.fit.sealed_replay import (
     CONTACT_SD,
     Replay,
@@ -19,6 +19,7 @@ from mjtactile.fit.sealed_replay import (
     linear_model,
     membrane_errors,
 )
+from mjtactile.fit.simulated_holds import finer_mesh
 from mjtactile.recording.stage_protocol import Move, Stage
 
 MESH = (7, 6)
