@@ -6,7 +6,6 @@ objects too fast for the step.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Sequence
 
 import mujoco
@@ -16,8 +15,10 @@ from numpy.typing import NDArray
 from mjtactile.core import geometry
 from mjtactile.core.flags import SIMULATION, Cadence, Reasons
 from mjtactile.core.types import Array
-from mjtactile.sim.sensor import carrier_geoms, contact_loads, feature_size, validity_checks
+from mjtactile.sim.sensor import contact_loads, feature_size, validity_checks
 from mjtactile.sim.sensor.collision_rule import pair_only_geoms
+from mjtactile.sim.sensor.feature_flags import FeatureFlags
+from mjtactile.sim.sensor.force_flags import ForceFlags
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.sensor.tunneling_check import CorePoints
@@ -25,10 +26,6 @@ from mjtactile.sim.sensor.tunneling_check import CorePoints
 PENETRATION = 0.05  # maximum ratio of penetration to indentation
 _SUNK = 0.5  # ratio of penetration to indentation at which forces are meaningless
 _FAST = 0.5  # maximum motion in a step, relative to the geom's size
-_FRAMED = 0.2  # force on frame or carrier over five checks, N
-# chatter over two checks: fraction of the force, and N
-_CHATTER = 0.02
-_MIN_CHATTER = 5e-3
 _NEAR = 0.05  # distance from the membrane's center, m
 _MIN_INDENTATION = 3e-4  # minimum indentation, m, for meaningful ratios to it
 _QS_RARE_PERIOD = 20  # period in checks, which are 0.1 s apart
@@ -72,13 +69,6 @@ class SceneMonitor:
         mujoco.mj_kinematics(model, data)  # a new state has no positions yet
         for core, sensor in zip(self._cores, sensors, strict=True):
             core.forget(data, sensor.body_id, sensor.p_SV, sensor.design.chamber.depth)
-        self._index = np.full(model.ngeom + 1, -1)  # of geom ids, and of -1
-        self._index[self._geoms] = np.arange(len(self._geoms))
-        self._faces, self._sides = (
-            np.array([feature_size.edge_half_width(model, int(g), axial) for g in self._geoms])
-            for axial in (1.0, 0.0)
-        )
-        self._has_edges = np.isfinite(np.minimum(self._faces, self._sides)).tolist()
         self._movers = np.setdiff1d(
             np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)])
         )
@@ -86,16 +76,10 @@ class SceneMonitor:
         self._max_speeds = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
         self._reference_heights = [sensor.heights for sensor in sensors]
         self._deep = np.zeros((len(sensors), 5))  # ratios at the last checks
-        # force at the last checks, N
-        self._framed = [deque([0.0] * 5, 5) for _ in sensors]
-        self._bypassed = [deque([0.0] * 5, 5) for _ in sensors]
-        self._chattered = [deque([0.0] * 2, 2) for _ in sensors]  # the same of the chatter
-        # by kind, the largest lasting force, N, and its text
-        self._largest: dict[str, tuple[float, str]] = {}
-        self._carriers = [carrier_geoms.carrier_geoms(model, data, sensor) for sensor in sensors]
+        self._forces = ForceFlags(model, data, sensors)
+        self._features = FeatureFlags(model, data, self._geoms, self._sizes)
         self._check_count = -1
         self._positions = self._geoms_in(sensors)
-        self._hulls: dict[int, str | None] = {}  # of those of `_geoms` that have touched
 
     @property
     def needs_every_step(self) -> bool:
@@ -142,7 +126,7 @@ class SceneMonitor:
         # quasi-static membranes detect tunneling themselves
         if self.only_quasistatic and self._check_count % _QS_RARE_PERIOD:
             for index, sensor in enumerate(self._sensors):
-                flags |= self._frame(index) | self._contact_flags(sensor)
+                flags |= self._forces.frame(index) | self._contact_flags(sensor)
             return flags, {Cadence.FAST}, stop
         positions = self._geoms_in(self._sensors)
         is_slow_check = self._check_count % _RARELY == 0
@@ -152,8 +136,8 @@ class SceneMonitor:
             flags |= sensor.flags() if is_slow_check else self._contact_flags(sensor)
             rows = contact_loads.on_membrane(self._data, sensor)[0]
             rows = rows[self._data.contact.exclude[rows] == 0]  # 1: near, but not touching
-            flags |= self._frame(index) | self._chatter(index)
-            flags |= self._shapes(sensor, rows) if len(rows) else {}
+            flags |= self._forces.frame(index) | self._forces.chatter(index)
+            flags |= self._features.touching(sensor, rows) if len(rows) else {}
             lasting = self._penetration(index, rows)
             if lasting > PENETRATION:
                 flags["penetration"] = (
@@ -177,58 +161,6 @@ class SceneMonitor:
     def _contact_flags(sensor: AnySensor) -> Reasons:
         return sensor.contact_flags() if isinstance(sensor, QuasistaticSensor) else {}
 
-    def _shapes(self, sensor: AnySensor, rows: NDArray[np.int64]) -> Reasons:
-        """Return flags of the geoms in the contacts `rows`: small features, edges, hulls."""
-        flags: Reasons = {}
-        contact = self._data.contact
-        others = self._index[contact.geom[rows]].max(axis=1)  # -1: not one of `_geoms`
-        touching = set(others.tolist()) - {-1}
-        if not touching:
-            return flags
-        smallest = min(touching, key=lambda k: self._sizes[k])
-        feature = feature_size.resolution_flag(
-            self._model,
-            int(self._geoms[smallest]),
-            float(self._sizes[smallest]),
-            sensor.mesh,
-            sensor.contact,
-        )
-        if feature:
-            flags["small_feature"] = feature
-        if any(self._has_edges[k] for k in touching):
-            known = others >= 0
-            half_width = self._nearest_edge(rows[known], others[known])
-            frame = sensor.design.frame
-            edge = feature_size.edge_flag(half_width, sensor.mesh) or feature_size.rim_flag(
-                self._rim_distance(sensor, rows[known], others[known]),
-                min(frame.length, frame.width),
-                sensor.mesh,
-            )
-            flags |= {"sharp_edge": edge} if edge else {}
-        for k in touching:
-            if k not in self._hulls:
-                self._hulls[k] = feature_size.hull_flag(self._model, int(self._geoms[k]))
-            if hull := self._hulls[k]:
-                flags["hull"] = hull
-        return flags
-
-    def _nearest_edge(self, rows: NDArray[np.int64], others: NDArray[np.int64]) -> float:
-        """Return the minimum half width, m, of the touching faces with edges, of geoms `others`."""
-        axes = self._data.geom_xmat[self._geoms[others]].reshape(-1, 3, 3)[:, :, 2]
-        axial = np.abs(np.einsum("ki,ki->k", self._data.contact.frame[rows, :3], axes))
-        return float(
-            np.where(axial > feature_size.END, self._faces[others], self._sides[others]).min()
-        )
-
-    def _rim_distance(
-        self, sensor: AnySensor, rows: NDArray[np.int64], others: NDArray[np.int64]
-    ) -> float:
-        """Return the minimum distance, m, of the touching faces with edges from the frame."""
-        flat = np.asarray(self._has_edges)[others]
-        p = self._data.contact.pos[rows[flat]] - self._data.xpos[sensor.body_id]
-        xy = (p @ self._data.xmat[sensor.body_id].reshape(3, 3))[:, :2]
-        return float(sensor.design.frame.inside(xy).min())
-
     def _penetration(self, index: int, rows: NDArray[np.int64]) -> float:
         """Return the penetration over the indentation that lasts for several checks."""
         heights = self._sensors[index].heights
@@ -243,60 +175,6 @@ class SceneMonitor:
             depth / max(indentation + depth, _MIN_INDENTATION),
         ]
         return float(self._deep[index].min())
-
-    def _chatter(self, index: int) -> Reasons:
-        """Return a flag if sliding vertices have made the force rough over several checks."""
-        sensor = self._sensors[index]
-        if isinstance(sensor, QuasistaticSensor):
-            return {}
-        sd, force = sensor.chatter
-        self._chattered[index].append(sd if sd > max(_CHATTER * force, _MIN_CHATTER) else 0.0)
-        lasting = min(self._chattered[index])
-        if not lasting:
-            return {}
-        text = (
-            f"sliding vertices of sensor {sensor.prefix!r} lose contact: the normal force varies "
-            f"from step to step by {1e3 * lasting:.0f} mN (sd) of {force:.2f} N; a timestep of 2 "
-            "ms is steadier"
-        )
-        return {"chatter": self._largest_so_far("chatter", lasting, text)}
-
-    def _frame(self, index: int) -> Reasons:
-        """Return flags when a sensor's frame or carrier carries force over several checks."""
-        sensor = self._sensors[index]
-        prefix = sensor.prefix
-        frame, blocking = contact_loads.frame_load(self._data, sensor)
-        carried, geom = contact_loads.carried_load(self._data, sensor, self._carriers[index])
-        self._framed[index].append(frame)
-        self._bypassed[index].append(carried)
-        obstacle, name = (
-            feature_size.name_of(self._model, one) if one >= 0 else "a soft body"
-            for one in (blocking, geom)
-        )
-        texts = {
-            "frame_contact": (
-                min(self._framed[index]),
-                f"the frame of sensor {prefix!r} is blocked by {obstacle!r} with {{:.1f}} N, which "
-                "the camera cannot measure; move the contact onto the membrane",
-            ),
-            "carrier_contact": (
-                min(self._bypassed[index]),
-                f"{name!r}, to which sensor {prefix!r} is fixed, carries {{:.1f}} N past the "
-                "membrane; move the site forward, or set contype and conaffinity of the geom to 0",
-            ),
-        }
-        flags: Reasons = {}
-        for kind, (lasting, text) in texts.items():
-            if lasting < _FRAMED:
-                continue
-            flags[kind] = self._largest_so_far(kind, lasting, text.format(lasting))
-        return flags
-
-    def _largest_so_far(self, kind: str, lasting: float, text: str) -> str:
-        """Return the text of the flag's largest force so far, where `lasting`, N, is the latest."""
-        if lasting > self._largest.get(kind, (0.0, ""))[0]:
-            self._largest[kind] = lasting, text
-        return self._largest[kind][1]
 
     def _geoms_in(self, sensors: tuple[AnySensor, ...]) -> list[Array]:
         """Return the centers (g, 3) m of the geoms that can touch, in each sensor's frame."""
