@@ -6,16 +6,21 @@ The prediction needs no built sensor. The search returns files that meet require
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mjtactile import Camera, InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
-from mjtactile.commands.output import optional_folder, print_json, save_plot, stdout_to_stderr
+from mjtactile.commands.output import optional_folder, print_result, save_plot, stdout_to_stderr
 from mjtactile.core import foreign_file
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
+
+if TYPE_CHECKING:
+    from mjtactile.design_study.design_sweep import Requirements
 
 DESCRIPTION = """\
 Predict the performance of a sensor file without simulating it: detection threshold, standard
@@ -125,46 +130,50 @@ ARGUMENTS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    from mjtactile.design_study import json_output
-
     design = _base_sensor(options)
     requirements = _requirements(options)
-    names = (
-        ("design.json", "face.png", "design.html")
-        if requirements is None
-        else ("design.json", "front.png", "best_1.toml")
-    )
-    with optional_folder(options.out, *names) as out:
-        with stdout_to_stderr():
-            progress = Progress(quiet=options.json)
-            if requirements is None:
-                result = json_output.of_file(
-                    design, options.force_N, check=options.check, notify=progress.message
-                )
-            else:
-                result, files = json_output.from_requirements(
-                    design,
-                    options.force_N,
-                    requirements,
-                    given=_given_hardware(options),
-                    count=options.count,
-                    seed=options.seed,
-                    check=options.check,
-                    notify=progress.message,
-                )
-            progress.close()
+    run = _run_file if requirements is None else partial(_run_search, requirements=requirements)
+    return run(options, design)
+
+
+def _run_file(options: argparse.Namespace, design: SensorDesign) -> int:
+    """Predict the performance of a file."""
+    from mjtactile.design_study import json_output
+
+    with optional_folder(options.out, "design.json", "face.png", "design.html") as out:
+        with stdout_to_stderr(), contextlib.closing(Progress(quiet=options.json)) as progress:
+            result = json_output.of_file(
+                design, options.force_N, check=options.check, notify=progress.message
+            )
         if out is not None:
             write_json(out / "design.json", result)
-            if requirements is None:
-                _write_file_figures(out, result)
-            else:
-                _write_requirements(out, result, files)  # pyright: ignore[reportPossiblyUnboundVariable]
-    if options.json:
-        print_json(result)
-    elif requirements is None:
-        _print_file(result)
-    else:
-        _print_requirements(result, options.out)
+            _write_file_figures(out, result)
+    print_result(options, result, lambda: _print_file(result))
+    return 0
+
+
+def _run_search(
+    options: argparse.Namespace, design: SensorDesign, requirements: Requirements
+) -> int:
+    """Search designs that meet the requirements."""
+    from mjtactile.design_study import json_output
+
+    with optional_folder(options.out, "design.json", "front.png", "best_1.toml") as out:
+        with stdout_to_stderr(), contextlib.closing(Progress(quiet=options.json)) as progress:
+            result, files = json_output.from_requirements(
+                design,
+                options.force_N,
+                requirements,
+                given=_given_hardware(options),
+                count=options.count,
+                seed=options.seed,
+                check=options.check,
+                notify=progress.message,
+            )
+        if out is not None:
+            write_json(out / "design.json", result)
+            _write_requirements(out, result, files)
+    print_result(options, result, lambda: _print_requirements(result, options.out))
     return 0
 
 

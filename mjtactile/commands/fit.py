@@ -81,14 +81,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.fit.report import plot, text_of
     from mjtactile.fit.result import to_table
 
-    if options.out.suffix != ".toml":
-        raise InputError("the name does not end in .toml", source=options.out, field="--out")
     known = dict(_known_value(text) for text in options.fix)
-    files = {kind: options.out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
-    for path in (options.out, *files.values()):
-        require_new(path)
-    if not foreign_file.is_dir(options.out.parent):
-        raise InputError("the folder does not exist", source=options.out.parent, field="--out")
+    files = _report_files(options.out)
     with stdout_to_stderr():
         result = fit_recordings(
             options.recording,
@@ -121,6 +115,18 @@ def run(options: argparse.Namespace) -> int:
         f"{text}\nwritten: {options.out}, and {', '.join(path.name for path in files.values())}",
     )
     return 0
+
+
+def _report_files(out: Path) -> dict[str, Path]:
+    """Return the files of the report by suffix. Raises InputError if one cannot be written."""
+    if out.suffix != ".toml":
+        raise InputError("the name does not end in .toml", source=out, field="--out")
+    files = {kind: out.with_suffix(f".fit.{kind}") for kind in ("json", "txt", "png")}
+    for path in (out, *files.values()):
+        require_new(path)
+    if not foreign_file.is_dir(out.parent):
+        raise InputError("the folder does not exist", source=out.parent, field="--out")
+    return files
 
 
 def _known_value(text: str) -> tuple[str, float]:

@@ -16,7 +16,7 @@ from mjtactile.core.errors import DeviceError, InputError
 from mjtactile.devices.dynamixel.gripper import DynamixelGripper
 from mjtactile.devices.valve.driver import ValveBoard, connect_valves
 from mjtactile.rig.command_limits import CommandLimits
-from mjtactile.rig.file import CameraConfig, RigFile
+from mjtactile.rig.file import CameraConfig, GripperConfig, RigFile
 from mjtactile.rig.finger import Rig, make_fingers
 from mjtactile.rig.gripper_calibration import calibrated_gripper
 from mjtactile.rig.protocols import CameraDevice
@@ -116,22 +116,13 @@ def build_device_rig(
         with contextlib.suppress(DeviceError):  # report the first fault only
             close_all(closers)
         raise
-    limits = CommandLimits(
-        opening=config.opening,
-        speed=config.speed_max,
-        force=config.force_max,
-        lift=(0.0, rig_file.lift.travel),
-        lift_speed=rig_file.lift.speed,
-        pressure=_pressure_range(rig_file, boards),
-        pressure_rate=min((valve.pressure_rate for valve in rig_file.valves), default=0.0),
-    )
     names = tuple(camera.finger for camera in rig_file.cameras)
     return Rig(
         name=name,
         fingers=make_fingers(names, designs, tuple(cameras), tuple(valves), calibrations),
         gripper=gripper,
         clock=FrameClock(cameras, 1 / design.camera.rate),
-        limits=limits,
+        limits=_limits(rig_file, config, boards),
         close=lambda: close_all(closers),
         host_timeout=rig_file.bus.host_timeout,
     )
@@ -146,11 +137,21 @@ def _check_pace(rig_file: RigFile) -> None:
         )
 
 
-def _pressure_range(rig_file: RigFile, boards: Sequence[ValveBoard]) -> tuple[float, float] | None:
-    """Return the pressure range of all chambers, Pa; None without valves or sensors."""
-    if not boards or not all(board.has_sensors for board in boards):
-        return None
-    return 0.0, min(valve.pressure_max for valve in rig_file.valves)
+def _limits(
+    rig_file: RigFile, gripper: GripperConfig, boards: Sequence[ValveBoard]
+) -> CommandLimits:
+    """Return the limits of commands; without valves or pressure sensors there is no pressure."""
+    has_sensors = boards and all(board.has_sensors for board in boards)
+    highest = min((valve.pressure_max for valve in rig_file.valves), default=0.0)
+    return CommandLimits(
+        opening=gripper.opening,
+        speed=gripper.speed_max,
+        force=gripper.force_max,
+        lift=(0.0, rig_file.lift.travel),
+        lift_speed=rig_file.lift.speed,
+        pressure=(0.0, highest) if has_sensors else None,
+        pressure_rate=min((valve.pressure_rate for valve in rig_file.valves), default=0.0),
+    )
 
 
 def build(request: RigRequest) -> Rig:

@@ -133,6 +133,27 @@ def assembly(layout: Layout, optics: Optics, figures: Sequence[str]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
+_MARKERS = {
+    True: (
+        "marker colour",
+        "thin against the sheet, elastic",
+        "silicone or latex ink through the stencil",
+    ),
+    False: (
+        "black discs",
+        "stiff against the sheet",
+        "discs cut from 0.025-0.05 mm polyester film, glued",
+    ),
+}
+"""Marker, its kind and the product, of ink or of discs."""
+
+
+def _valve_flow(conductance: float) -> str:
+    if math.isinf(conductance):
+        return "flow as high as possible"
+    return f"{1e9 * conductance:g} mL/s at 1 kPa"
+
+
 def bill(layout: Layout, optics: Optics, loads: PressureLoads) -> str:
     """Return the text of `bill.md`: the parts of one finger, and those needed once per gripper."""
     design = layout.design
@@ -141,19 +162,7 @@ def bill(layout: Layout, optics: Optics, loads: PressureLoads) -> str:
     supply = 1e-3 * design.chamber.supply_gauge
     volume = 1e6 * design.chamber_volume_flat
     rate = design.camera.width * design.camera.height * design.camera.rate
-    conductance = design.chamber.valve_conductance
-    if math.isinf(conductance):
-        flow = "flow as high as possible"
-    else:
-        flow = f"{1e9 * conductance:g} mL/s at 1 kPa"
-    if layout.hardware.markers == "ink":
-        marker = "marker colour"
-        marker_kind = "thin against the sheet, elastic"
-        marker_product = "silicone or latex ink through the stencil"
-    else:
-        marker = "black discs"
-        marker_kind = "stiff against the sheet"
-        marker_product = "discs cut from 0.025-0.05 mm polyester film, glued"
+    marker, marker_kind, marker_product = _MARKERS[layout.hardware.markers == "ink"]
     return _template("bill.md").format(
         layout=layout,
         design=design,
@@ -186,7 +195,7 @@ def bill(layout: Layout, optics: Optics, loads: PressureLoads) -> str:
         pump_pressure=1e-3 * abs(loads.pump),
         pump_flow=max(volume / 1e3, 0.05),
         supply=supply,
-        valve_flow=flow,
+        valve_flow=_valve_flow(design.chamber.valve_conductance),
         sensor_range=loads.sensor_range,
         highest=1e-3 * loads.highest.gauge_pressure,
         load=loads.highest.name,
@@ -217,6 +226,17 @@ def readme(
     )
 
 
+def _marker_size(layout: Layout, states: Sequence[MembraneState]) -> str:
+    if layout.hardware.markers != "ink":
+        return "discs keep their size"
+    grown = growth(layout.design, states)
+    seems = MM * grown * layout.design.camera.distance
+    return (
+        f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then "
+        f"appears {seems:.2g} mm nearer; discs do not"
+    )
+
+
 def checks(
     layout: Layout,
     optics: Optics,
@@ -228,18 +248,9 @@ def checks(
     """Return the checked values as readable text."""
     design = layout.design
     hardware = layout.hardware
-    grown = growth(layout.design, states)
-    seems = MM * grown * design.camera.distance
     highest = max(abs(loads.highest.gauge_pressure), abs(design.chamber.supply_gauge))
     stretch = design.membrane.pre_stretch
     tolerance, stretch_error = mount_tolerance(design)
-    if hardware.markers == "ink":
-        size = (
-            f"ink grows with the rubber, by up to {100 * grown:.1f} % (mean of all), and then "
-            f"appears {seems:.2g} mm nearer; discs do not"
-        )
-    else:
-        size = "discs keep their size"
     simulated = (
         f"markers in the image, {len(states)} simulated states to {MM * press:.2g} mm of "
         f"indentation and {1e-3 * design.chamber.supply_gauge:g} kPa"
@@ -249,7 +260,7 @@ def checks(
             f"stretched up to {max(state.stretch for state in states):.2f} of its free length; "
             f"the simulated material law holds to {STRETCHED:g}"
         ),
-        "markers' size": size,
+        "markers' size": _marker_size(layout, states),
         "markers to the edge of the opening": f"at least {min(opening_margins(design)):.2f} mm",
         simulated: f"margin of {optics.margin:.0f} px ({optics.worst})",
         "sharpness": f"blur {optics.blur:.2f} px (sd) from {optics.near:.1f} to {optics.far:.1f} "

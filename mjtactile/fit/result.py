@@ -165,6 +165,10 @@ def covariance_of(
     return [*names, "membrane.thickness_mm"], cov + _UNKNOWN_FRACTION**2 * np.outer(slope, slope)
 
 
+_NUMBERS = {name: name for name in ("field", "value", "sd", "state", "before", "source", "comment")}
+_NUMBERS |= {"interval_95": "interval"}
+
+
 def to_table(result: FitResult) -> dict[str, Any]:
     """The JSON of `mjtactile fit`."""
     pressure_rms = {}
@@ -176,16 +180,7 @@ def to_table(result: FitResult) -> dict[str, Any]:
         "seconds": result.seconds,
         "recordings": [e.name for e in result.evidence],
         "numbers": [
-            {
-                "field": n.field,
-                "value": n.value,
-                "sd": n.sd,
-                "interval_95": n.interval,
-                "state": n.state,
-                "before": n.before,
-                "source": n.source,
-                "comment": n.comment,
-            }
+            {name: getattr(n, attribute) for name, attribute in _NUMBERS.items()}
             for n in result.parameters
         ],
         "correlations": result.correlations,

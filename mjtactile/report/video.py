@@ -68,22 +68,7 @@ def write_video(
         )
     rate, scale = FORMATS[path.suffix]
     video = _VideoWriter(recording, views)
-    first = video.start + start
-    duration = min(video.end, first + seconds) - first
-    if duration * rate / speed > _MAX_FRAMES:
-        raise InputError(
-            f"{speed:g} makes a video of {duration * rate / speed:.2g} images; at most "
-            f"{_MAX_FRAMES}, so at least {duration * rate / _MAX_FRAMES:.2g}",
-            source=recording.folder,
-            field="--speed",
-        )
-    times = np.arange(first, first + duration + 1e-9, speed / rate)
-    if not len(times):
-        raise InputError(
-            f"the recording ends after {video.end - video.start:.1f} s",
-            source=recording.folder,
-            field="--start",
-        )
+    times = video.times(start, seconds, speed, rate)
     part = path.with_name(path.name + ".part")
     size = (0, 0)
     with Writer(part, path.suffix, rate) as write:
@@ -158,6 +143,23 @@ class _VideoWriter:
         if self._recording.has_shapes:
             parts.insert(1, self._bodies_at(row))
         return np.vstack(parts)
+
+    def times(self, start: float, seconds: float, speed: float, rate: float) -> Array:
+        """Return the times of the images, s. Raises InputError for too many or none."""
+        first = self.start + start
+        duration = min(self.end, first + seconds) - first
+        source = self._recording.folder
+        if duration * rate / speed > _MAX_FRAMES:
+            text = (
+                f"{speed:g} makes a video of {duration * rate / speed:.2g} images; at most "
+                f"{_MAX_FRAMES}, so at least {duration * rate / _MAX_FRAMES:.2g}"
+            )
+            raise InputError(text, source=source, field="--speed")
+        times = np.arange(first, first + duration + 1e-9, speed / rate)
+        if not len(times):
+            text = f"the recording ends after {self.end - self.start:.1f} s"
+            raise InputError(text, source=source, field="--start")
+        return times
 
     def _bodies_at(self, row: int) -> Pixels:
         """Return the row of cross sections of the shapes, below the camera images."""

@@ -25,7 +25,7 @@ from mjtactile.runtime.device_faults import DeviceFaults
 from mjtactile.runtime.failure_causes import actuator_limit, failure_causes
 from mjtactile.runtime.held_contact import HeldContacts
 from mjtactile.runtime.retreat import may_hold
-from mjtactile.runtime.session import open_session
+from mjtactile.runtime.session import Session, open_session
 from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SafeSetDown, SetDown
 
 
@@ -238,22 +238,7 @@ def run_grasp(
         session.take_references(watching)
         estimate = _estimate(rig) if error_estimate else None
         log = _Log(watching, score, estimate, rig.goal.place_height)
-        wall_start = wall.perf_counter()
-        start = rig.clock.now()
-        completed = False
-        has_ended = False
-        try:
-            last = session.run(controller, time_limit=_time_limit(scenario), observer=log)
-            completed = last.phase == "done"
-        except SimulationError:
-            if score is None or not score.lost:
-                raise  # otherwise the outcome was already known: the object stayed behind
-        except DeviceError:
-            if rig.recorded.get("outcome") not in OUTCOMES:
-                raise  # else the recording has ended before this controller did
-            has_ended = True
-        duration = rig.length if has_ended else rig.clock.now() - start
-        factor = duration / (wall.perf_counter() - wall_start)
+        completed, factor = _run(session, scenario, controller, log)
         flags = session.flags
         result = _result(scenario, log, factor, completed=completed, period=rig.period)
         try:
@@ -318,6 +303,29 @@ def _score(scenario: Scenario, rig: Rig, observer: Observer) -> Any:
     randomized = {"randomized": rig.randomized} if rig.randomized else {}
     observer.note(break_force_N=force if math.isfinite(force) else None, **randomized)
     return score
+
+
+def _run(
+    session: Session, scenario: Scenario, controller: LoadedController, log: _Log
+) -> tuple[bool, float]:
+    """Run the controller; return True if it was completed, and the real-time factor."""
+    rig = session.rig
+    wall_start = wall.perf_counter()
+    start = rig.clock.now()
+    completed = False
+    has_ended = False
+    try:
+        last = session.run(controller, time_limit=_time_limit(scenario), observer=log)
+        completed = last.phase == "done"
+    except SimulationError:
+        if log.score is None or not log.score.lost:
+            raise  # otherwise the outcome was already known: the object stayed behind
+    except DeviceError:
+        if rig.recorded.get("outcome") not in OUTCOMES:
+            raise  # else the recording has ended before this controller did
+        has_ended = True
+    duration = rig.length if has_ended else rig.clock.now() - start
+    return completed, duration / (wall.perf_counter() - wall_start)
 
 
 def _outcome_if_raised(cycle: Cycle) -> str:

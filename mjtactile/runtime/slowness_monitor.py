@@ -70,13 +70,7 @@ class SlownessMonitor(Observer):
         factor = (cycle.time - time) / (now - before)
         if factor >= SLOW:
             return
-        seconds = {
-            "physics": load.physics - first.physics,
-            "rendering": load.rendering - first.rendering,
-            "perception": self._perception,
-            "controller": self._controller,
-        }
-        fractions = {name: min(1.0, spent / (now - before)) for name, spent in seconds.items()}
+        fractions = self._fractions(load, first, now - before)
         largest = max(fractions, key=lambda name: fractions[name])
         # parts that run in parallel may each take most of the time
         causes = [
@@ -91,6 +85,16 @@ class SlownessMonitor(Observer):
             for name in sorted(causes, key=lambda name: -fractions[name])
         ]
         self._notify(f"slow: {factor:.2g} x real time; {', '.join(texts)}")
+
+    def _fractions(self, load: Workload, first: Workload, elapsed: float) -> dict[str, float]:
+        """Return the fraction of the time that each part took."""
+        seconds = {
+            "physics": load.physics - first.physics,
+            "rendering": load.rendering - first.rendering,
+            "perception": self._perception,
+            "controller": self._controller,
+        }
+        return {name: min(1.0, spent / elapsed) for name, spent in seconds.items()}
 
 
 def _cause(part: str, load: Workload, contact_shapes: bool) -> str:

@@ -160,17 +160,7 @@ def explain(
     )
     probes = [here if parameter is None else parameter.at(time) for parameter in run_all(asked)]
     tried, allowed = _tested_parameters(there, here, causes, probes, _shift(plain, time))
-
-    def run(amounts: Mapping[str, Sequence[float]]) -> Signals | None:
-        signals = attempted(simulate, amounts)
-        return None if signals is None else signals.at(time)
-
-    checked = [
-        _checked(parameter, allowed[parameter.cause.name], there, here, run)
-        for parameter in tried[:_CONTENDERS]
-        if parameter.explains >= tried[0].explains - _NEAR
-    ]
-    checked.sort(key=lambda parameter: -parameter.explains)
+    checked = _contenders(tried, allowed, there, here, simulate, time)
     best = checked[0]
     linear = next(parameter for parameter in tried if parameter.cause is best.tried.cause)
     is_named = _is_named(best, linear, allowed[""]["left"])
@@ -205,6 +195,28 @@ def _is_named(best: _Checked, linear: TestedParameter, left: float) -> bool:
     """Return True if a cause explains enough, both simulated and in the linear fit."""
     explains = min(best.explains, linear.explains) >= _MIN_EXPLAINED
     return explains and (linear.cause.spread > 0 or 1 - linear.explains <= _LESS_LEFT * left)
+
+
+def _contenders(
+    tried: Sequence[TestedParameter],
+    allowed: Mapping[str, Mapping[str, float]],
+    there: Signals,
+    here: Signals,
+    simulate: Simulate,
+    time: Array,
+) -> list[_Checked]:
+    """Return the simulator's results with the causes that explain the most, the best first."""
+
+    def run(amounts: Mapping[str, Sequence[float]]) -> Signals | None:
+        signals = attempted(simulate, amounts)
+        return None if signals is None else signals.at(time)
+
+    checked = [
+        _checked(parameter, allowed[parameter.cause.name], there, here, run)
+        for parameter in tried[:_CONTENDERS]
+        if parameter.explains >= tried[0].explains - _NEAR
+    ]
+    return sorted(checked, key=lambda parameter: -parameter.explains)
 
 
 def _checked(

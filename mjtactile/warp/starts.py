@@ -80,38 +80,74 @@ def sample_starts(
     camera period.
     """
     world = rig.scene
-    model, data = world.model, world.data
     kinds = np.array(seeds) % len(mix)
     objects = [mix[k].grasped for k in kinds]
     fingers = [finger.name for finger in rig.fingers]
-    variation = load_variation(scenario.randomization)
-    markers = rig.fingers[0].design.markers.count
     task = load_task(scenario.task)
     tasks = [task.sample(seed, len(fingers)) for seed in seeds]
-    design = rig.fingers[0].design
-    sampled = [variation.sample(seed, fingers=fingers, markers=markers) for seed in seeds]
-    if len(mix) > 1:
-        keep = [bool(mix[k].model.nmesh) for k in kinds]
-        sampled = [
-            replace(one, object=replace(one.object, size=0.0)) if is_mesh else one
-            for one, is_mesh in zip(sampled, keep, strict=True)
-        ]
-    sampled = [
-        replace(one, object=object_in_task(one.object, in_task, grasped, design))
-        for one, in_task, grasped in zip(sampled, tasks, objects, strict=True)
-    ]
+    sampled = _sampled_worlds(scenario, rig, mix, kinds, seeds, tasks)
     _check(sampled, mix, rig.period)
     changed = [
         strength_in_task(grasped.changed(one.object), task, in_task, len(fingers))
         for one, in_task, grasped in zip(sampled, tasks, objects, strict=True)
     ]
     poses = [place(one, start_of(seed)[0]) for one, seed in zip(changed, seeds, strict=True)]
+    scale = np.array([1 + one.object.size for one in sampled])
+    starts = Starts()
+    starts.kind, starts.scale = ints(kinds), floats(scale)
+    free = _add_bodies(starts, world, mix, kinds, poses, scale, start_of(scenario.seed)[0])
+    _add_values(starts, rig, sampled, fingers)
+    starts.break_force = floats(np.minimum([one.break_force for one in changed], 1e6))
+    main = world.model.body(f"{PREFIX}object").id
+    own = starts.objects.ipos.numpy()[kinds, free.index(main), 2] if main in free else 0.0
+    center = scale * own  # the object stands upright, or has its center there
+    heights = starts.free.numpy()[:, free.index(main), 2] + center if main in free else center
+    starts.rest_height = floats(heights)
+    starts.pulls = floats([one.pulls() for one in tasks])
+    starts.episode = wp.zeros(worlds, dtype=int)
+    starts.row = wp.zeros(worlds, dtype=int)
+    return SampledStarts(
+        starts, np.asarray(seeds), kinds, floats(_events(tasks, path_axes(world.start)))
+    )
+
+
+def _sampled_worlds(
+    scenario: Scenario,
+    rig: Rig,
+    mix: Sequence[MixedObject],
+    kinds: Array,
+    seeds: Sequence[int],
+    tasks: Sequence[SampledTask],
+) -> list[SampledWorld]:
+    """Sample the randomized values of each seed, with the object as the task has it."""
+    fingers = [finger.name for finger in rig.fingers]
+    design = rig.fingers[0].design
+    variation = load_variation(scenario.randomization)
+    sampled = []
+    for seed, kind, in_task in zip(seeds, kinds, tasks, strict=True):
+        one = variation.sample(seed, fingers=fingers, markers=design.markers.count)
+        if len(mix) > 1 and mix[kind].model.nmesh:
+            one = replace(one, object=replace(one.object, size=0.0))
+        changed = object_in_task(one.object, in_task, mix[kind].grasped, design)
+        sampled.append(replace(one, object=changed))
+    return sampled
+
+
+def _add_bodies(
+    starts: Any,
+    world: Any,
+    mix: Sequence[MixedObject],
+    kinds: Array,
+    poses: Sequence[tuple[float, float, float]],
+    scale: Array,
+    start: tuple[float, float, float],
+) -> list[int]:
+    """Add the bodies and geoms of objects and supports with their poses; return the free bodies."""
+    model = world.model
     roots = object_roots(model)
     free = [body for body in roots if model.body_jntnum[body]]
     fixed = [body for body in roots if not model.body_jntnum[body]]
     supports = [body for body in static_bodies(model).tolist() if body not in roots]
-    scale = np.array([1 + one.object.size for one in sampled])
-    starts = Starts()
     starts.free_bodies, starts.fixed_bodies = ints(free), ints([*fixed, *supports])
     on_fixed = np.isin(model.body_rootid[model.geom_bodyid], [*fixed, *supports])
     starts.fixed_geoms = ints(np.flatnonzero(on_fixed))
@@ -120,18 +156,24 @@ def sample_starts(
     geoms = [g for g in range(model.ngeom) if model.body_rootid[model.geom_bodyid[g]] in roots]
     starts.geoms = ints(geoms)
     starts.objects = objects_of(model, mix, geoms, free)
-    starts.kind = ints(kinds)
     for name, bodies, others in (("free", free, []), ("fixed", fixed, supports)):
-        table = np.zeros((len(seeds), max(len(bodies) + len(others), 1), 7))
-        local = _local(world, mix, bodies, start_of(scenario.seed)[0])
+        table = np.zeros((len(kinds), max(len(bodies) + len(others), 1), 7))
+        local = _local(world, mix, bodies, start)
         for b in range(len(bodies)):
             table[:, b] = _world_poses(local[kinds, b], poses, scale, world)
         for b, body in enumerate(others, len(bodies)):
             table[:, b] = [*model.body_pos[body], *model.body_quat[body]]
         setattr(starts, name, floats(table))
-    starts.qpos, starts.ctrl = floats(data.qpos), floats(data.ctrl)
+    return free
+
+
+def _add_values(
+    starts: Any, rig: Rig, sampled: Sequence[SampledWorld], fingers: Sequence[str]
+) -> None:
+    """Add the state of the rig, and the sampled values of object, membranes and gripper."""
+    world = rig.scene
+    starts.qpos, starts.ctrl = floats(world.data.qpos), floats(world.data.ctrl)
     starts.opening, starts.force = float(world.opening), float(rig.limits.force)
-    starts.scale = floats(scale)
     starts.mass = floats([1 + one.object.mass for one in sampled])
     starts.friction = floats([_frictions(one, fingers) for one in sampled])
     sensor = world.sensors[0]
@@ -141,23 +183,11 @@ def sample_starts(
         sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
     )
     starts.modulus, starts.volume = (floats(one.reshape(stiffness.shape)) for one in found)
-    starts.break_force = floats(np.minimum([one.break_force for one in changed], 1e6))
-    main = model.body(f"{PREFIX}object").id
-    own = starts.objects.ipos.numpy()[kinds, free.index(main), 2] if main in free else 0.0
-    center = scale * own  # the object stands upright, or has its center there
-    heights = starts.free.numpy()[:, free.index(main), 2] + center if main in free else center
-    starts.rest_height = floats(heights)
-    starts.pulls = floats([one.pulls() for one in tasks])
     speed = world.rig.gripper.speed
     starts.rig = floats(
         [(c.delay, c.jitter, c.backlash, (1 + c.speed) * speed, c.force_noise)
          for c in (one.rig for one in sampled)]
     )  # fmt: skip
-    starts.episode = wp.zeros(worlds, dtype=int)
-    starts.row = wp.zeros(worlds, dtype=int)
-    return SampledStarts(
-        starts, np.asarray(seeds), kinds, floats(_events(tasks, path_axes(world.start)))
-    )
 
 
 def _events(tasks: Sequence[SampledTask], axes: Array) -> Array:

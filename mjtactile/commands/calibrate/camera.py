@@ -113,23 +113,19 @@ def run(options: argparse.Namespace) -> int:
         path = write(path, verdict, to_yaml)
     else:
         goal.write("lens", lens_part(fit, stamp_of(goal.design, residuals)), reasons)
-    fx = fit.K[0, 0]
-    fy = fit.K[1, 1]
-    cx = fit.K[0, 2]
-    cy = fit.K[1, 2]
-    return finish(
-        options,
-        path,
-        {**verdict, **residuals, **info},
-        [
-            f"{len(fit.view_rms)} images, {len(fit.dropped)} dropped; corner residual "
-            f"{fit.rms:.3f} px, {fit.holdout_px:.3f} px in held-out images",
-            f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), "
-            f"center {cx:.2f}, {cy:.2f} px",
-            f"  {100 * fit.coverage:.0f} % of the view covered, board tilted by up to "
-            f"{fit.tilts.max():.0f} degrees",
-        ],
-    )
+    return finish(options, path, {**verdict, **residuals, **info}, _lines(fit))
+
+
+def _lines(fit: Any) -> list[str]:
+    (fx, _, cx), (_, fy, cy), _ = fit.K
+    return [
+        f"{len(fit.view_rms)} images, {len(fit.dropped)} dropped; corner residual "
+        f"{fit.rms:.3f} px, {fit.holdout_px:.3f} px in held-out images",
+        f"  focal length {fx:.2f}, {fy:.2f} px (sd {fit.sd[0]:.2f}, {fit.sd[1]:.2f}), "
+        f"center {cx:.2f}, {cy:.2f} px",
+        f"  {100 * fit.coverage:.0f} % of the view covered, board tilted by up to "
+        f"{fit.tilts.max():.0f} degrees",
+    ]
 
 
 def _fits(fit, design) -> list[str]:

@@ -14,6 +14,7 @@ docs/theory/exploration.md, Eq. P1-P5.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,18 +180,9 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
         modulus = _modulus(stiffness, curve.free_width, area, s.area_fraction_sd)
     else:
         modulus = unknown
-    status = OK
-    if probability[kind] < s.sure:
-        first, other = sorted(probability, key=lambda name: -probability[name])[:2]
-        kind = "unknown"
-        status = Status(StatusCode.AMBIGUOUS, f"undecided between {first} and {other}")
-    elif not len(phases.second):
-        status = Status(
-            StatusCode.INCOMPLETE_DATA,
-            "no second touch: the permanent deformation is estimated from the release",
-        )
+    is_sure = probability[kind] >= s.sure
     return Material(
-        kind,
+        kind if is_sure else "unknown",
         probability,
         force,
         deformation,
@@ -202,8 +194,18 @@ def _verdict(squeeze: Squeeze, phases: _Phases, curve: _Curve, s: MaterialSettin
         permanent,
         permanent_sd,
         _flow_speed(squeeze, phases.hold, s.early),
-        status,
+        _status(phases, probability, is_sure=is_sure),
     )
+
+
+def _status(phases: _Phases, probability: Mapping[str, float], *, is_sure: bool) -> Status:
+    if not is_sure:
+        first, other = sorted(probability, key=lambda name: -probability[name])[:2]
+        return Status(StatusCode.AMBIGUOUS, f"undecided between {first} and {other}")
+    if len(phases.second):
+        return OK
+    text = "no second touch: the permanent deformation is estimated from the release"
+    return Status(StatusCode.INCOMPLETE_DATA, text)
 
 
 def _probabilities(

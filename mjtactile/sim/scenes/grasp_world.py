@@ -66,16 +66,8 @@ class GraspWorld(GripperWorld):
         designs = self.as_built_designs or finger_designs(rig, self.design)
 
         def furnish(spec: mujoco.MjSpec, start: Start) -> None:
-            x, y, yaw = object_pose
-            cos = math.cos(start.yaw)
-            sin = math.sin(start.yaw)
             centre = start.centre
-            pose = (
-                centre[0] + (cos * x - sin * y),
-                centre[1] + (sin * x + cos * y),
-                start.yaw + yaw,
-            )
-            add_object(spec, self.object, pose, height=rig.table_height)
+            add_object(spec, self.object, _pose_at(start, object_pose), height=rig.table_height)
             if stacked is not None:
                 add_second_object(spec, self.object, stacked, centre)
 
@@ -152,3 +144,12 @@ def finger_designs(rig: SimRigFile, sensor: SensorDesign) -> tuple[SensorDesign,
     return tuple(
         sensor if finger.sensor is None else load_sensor(finger.sensor) for finger in rig.fingers
     )
+
+
+def _pose_at(start: Start, pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return x, y (m) and yaw (rad) in the world of a pose relative to the gripper."""
+    x, y, yaw = pose
+    cos = math.cos(start.yaw)
+    sin = math.sin(start.yaw)
+    centre = start.centre
+    return centre[0] + (cos * x - sin * y), centre[1] + (sin * x + cos * y), start.yaw + yaw

@@ -59,9 +59,8 @@ class SceneMonitor:
             for own, sensor in zip(self._can_touch, sensors, strict=True)
         ]
         self._any_thin = any(map(len, self._thin))
-        self.only_quasistatic = bool(sensors) and all(
-            isinstance(one, QuasistaticSensor) for one in sensors
-        )
+        is_quasistatic = [isinstance(one, QuasistaticSensor) for one in sensors]
+        self.only_quasistatic = bool(sensors) and all(is_quasistatic)
         self._cores = [
             CorePoints(model, self._geoms[own], sensor.mesh, sensor.contact)
             for own, sensor in zip(self._can_touch, sensors, strict=True)
@@ -69,9 +68,8 @@ class SceneMonitor:
         mujoco.mj_kinematics(model, data)  # a new state has no positions yet
         for core, sensor in zip(self._cores, sensors, strict=True):
             core.forget(data, sensor.body_id, sensor.p_SV, sensor.design.chamber.depth)
-        self._movers = np.setdiff1d(
-            np.arange(model.nv), np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)])
-        )
+        own = np.concatenate([np.empty(0, int), *(s.dofs for s in sensors)])
+        self._movers = np.setdiff1d(np.arange(model.nv), own)
         minimum = _FAST * self._sizes.min(initial=np.inf) / float(model.opt.timestep)
         self._max_speeds = minimum / np.maximum(model.dof_length[self._movers], 1e-9)
         self._reference_heights = [sensor.heights for sensor in sensors]
