@@ -143,9 +143,9 @@ def _rigid(s: MaterialSample) -> tuple[str, str]:
 
 def _halves(s: MaterialSample) -> tuple[str, str]:
     """Return the MJCF of both halves, each twice as stiff, with four times the stiffening."""
-    middle = max(s.length / 2 - 0.006, 0.001)
+    half_length = max(s.length / 2 - 0.006, 0.001)
     lines = [
-        f'      <geom name="middle" type="box" size="{middle:.6g} {0.8 * s.width / 2:.6g} '
+        f'      <geom name="middle" type="box" size="{half_length:.6g} {0.8 * s.width / 2:.6g} '
         f'{0.8 * s.height / 2:.6g}" '
         f'mass="{_CORE_MASS:g}" contype="0" conaffinity="0" rgba="0.8 0.6 0.4 1"/>'
     ]

@@ -159,8 +159,8 @@ class Fiducials:
         here = depth + self.p_SF(design)[:, 2]
         grows = np.ones(len(xy)) if self.surface == "rim" else depth / here
         if design.frame.outline is None:
-            seen = (xy - extent) * grows[:, None]
-            hides = (seen < half).all(axis=1)
+            observed = (xy - extent) * grows[:, None]
+            hides = (observed < half).all(axis=1)
             beyond = (xy + extent > half + self.step).any(axis=1)
         else:
             hides = design.frame.inside(grows[:, None] * self.places) > -extent * grows

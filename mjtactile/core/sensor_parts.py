@@ -339,8 +339,8 @@ class Pinhole:
         model folds over within the image.
         """
         edge = np.diag([self.width / (2 * self.fx), self.height / (2 * self.fy)])
-        seen = self.lens.undistort(edge)
-        return np.diagonal(np.where(np.isfinite(seen), seen, edge)).copy()
+        ideal = self.lens.undistort(edge)
+        return np.diagonal(np.where(np.isfinite(ideal), ideal, edge)).copy()
 
     def size_mismatch(self, pixels: NDArray[Any], owner: str = "the camera") -> str:
         """Compare the size of an image with that of this camera.

@@ -36,8 +36,8 @@ def space_of(kind: str, designs: Sequence[SensorDesign]) -> gymnasium.spaces.Spa
         return gymnasium.spaces.Dict({"wrench": vector, "image": images})
     shape = (len(designs), count)
     markers = gymnasium.spaces.Box(-_MARKER_MAX, _MARKER_MAX, (*shape, 3), np.float32)
-    seen = gymnasium.spaces.MultiBinary(shape)
-    return gymnasium.spaces.Dict({"wrench": vector, "seen": seen, "markers": markers})
+    observed = gymnasium.spaces.MultiBinary(shape)
+    return gymnasium.spaces.Dict({"wrench": vector, "seen": observed, "markers": markers})
 
 
 def show(kind: str, observation: Observation, images: Sequence[Image], count: int) -> Any:
@@ -51,15 +51,15 @@ def show(kind: str, observation: Observation, images: Sequence[Image], count: in
     return {
         "wrench": vector,
         "markers": np.stack([p for p, _ in found]),
-        "seen": np.stack([seen for _, seen in found]),
+        "seen": np.stack([observed for _, observed in found]),
     }
 
 
 def _markers(touch: Touch, count: int) -> tuple[Array, Array]:
     """Return marker positions (count, 3) in S, m, and flags (count,) of the detected markers."""
     p_SM = np.zeros((count, 3), np.float32)
-    seen = np.zeros(count, np.int8)
+    observed = np.zeros(count, np.int8)
     if touch.markers is not None:
         p_SM[touch.markers.ids] = np.clip(touch.markers.p_SM, -_MARKER_MAX, _MARKER_MAX)
-        seen[touch.markers.ids] = 1
-    return p_SM, seen
+        observed[touch.markers.ids] = 1
+    return p_SM, observed

@@ -304,10 +304,10 @@ def finite(field: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
         raise InputError("is not an array of numbers", field=field) from error
     fits = array.shape == shape or (
         array.ndim == len(shape)
-        and all(want in (-1, have) for want, have in zip(shape, array.shape, strict=True))
+        and all(expected in (-1, have) for expected, have in zip(shape, array.shape, strict=True))
     )
     if not fits:
-        requested = ", ".join("n" if want < 0 else str(want) for want in shape)
+        requested = ", ".join("n" if expected < 0 else str(expected) for expected in shape)
         raise InputError(f"has shape {array.shape}, not ({requested})", field=field)
     if array.size < _FEW:
         known = all(map(math.isfinite, array.ravel().tolist()))

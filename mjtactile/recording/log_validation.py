@@ -204,12 +204,12 @@ def wrong_note(row: Mapping[str, Any]) -> str | None:
     """Return the first invalid field of a header, note or reference line, or None."""
     if row.get("kind") == "reference":
         return _wrong_reference(row)
-    for key, want in (_HEADER if row.get("kind") == "start" else _NOTES).items():
-        found = kind(row[key]) if key in row else want
-        if isinstance(want, tuple):
-            good = isinstance(found, tuple) and set(found) <= set(want)
+    for key, expected in (_HEADER if row.get("kind") == "start" else _NOTES).items():
+        found = kind(row[key]) if key in row else expected
+        if isinstance(expected, tuple):
+            good = isinstance(found, tuple) and set(found) <= set(expected)
         else:
-            good = found == want or (row[key] is None and want != TABLE)
+            good = found == expected or (row[key] is None and expected != TABLE)
         if not good:
             return key
     return next((key for key, test in _TESTS.items() if key in row and not test(row[key])), None)

@@ -22,7 +22,7 @@ _logger = logging.getLogger(__name__)
 
 
 def recorded_sensors(
-    recording: Recording, asked: str | SensorDesign | None = None
+    recording: Recording, requested: str | SensorDesign | None = None
 ) -> dict[str, SensorDesign]:
     """Read the sensor of each finger from the recording.
 
@@ -31,7 +31,7 @@ def recorded_sensors(
 
     Args:
         recording: The recording.
-        asked: Requested sensor, which must have the recorded values. None: no request.
+        requested: Requested sensor, which must have the recorded values. None: no request.
 
     Returns:
         The sensors by finger.
@@ -39,24 +39,24 @@ def recorded_sensors(
     Raises:
         InputError: Another sensor is requested, or a recorded one is missing or wrong.
     """
-    sensors = {finger: _sensor(recording, finger, asked) for finger in recording.fingers}
-    if asked is not None:
+    sensors = {finger: _sensor(recording, finger, requested) for finger in recording.fingers}
+    if requested is not None:
         for finger, sensor in sensors.items():
-            require_recorded(recording, finger, sensor, asked)
+            require_recorded(recording, finger, sensor, requested)
     for kind, file in recording.header.get("files", {}).items():
         _warn_if_changed(recording.folder, kind, file)
     return sensors
 
 
 def require_recorded(
-    recording: Recording, finger: str, sensor: SensorDesign, asked: str | SensorDesign
+    recording: Recording, finger: str, sensor: SensorDesign, request: str | SensorDesign
 ) -> None:
-    """Raise InputError if a finger was recorded with another sensor than `asked`.
+    """Raise InputError if a finger was recorded with another sensor than `request`.
 
     `sensor` is the recorded one. The sensor of the recorded file is accepted too: `sensor` can
     differ from it by options such as a pressure.
     """
-    requested = load_sensor(asked)
+    requested = load_sensor(request)
     known = [sensor]
     if (stored := _file(recording, finger)) is not None:
         known.append(sensor_from_text(stored["text"], name="", source=stored["name"]))
@@ -73,14 +73,16 @@ def require_recorded(
     )
 
 
-def _sensor(recording: Recording, finger: str, asked: str | SensorDesign | None) -> SensorDesign:
+def _sensor(
+    recording: Recording, finger: str, requested: str | SensorDesign | None
+) -> SensorDesign:
     stored = recording.notes.get("sensors", {}).get(finger) or _file(recording, finger)
     if stored is not None:
         name = Path(stored["name"]).stem
         source = str(recording.folder / LOG)
         return sensor_from_text(stored["text"], name=name, source=source)
-    if asked is not None:
-        return load_sensor(asked)
+    if requested is not None:
+        return load_sensor(requested)
     name = _name(recording, finger)
     message = f"{recording.folder} does not contain the text of its sensor"
     try:

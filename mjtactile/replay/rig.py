@@ -158,15 +158,15 @@ class ReplayValve:
         """Do nothing: the valve followed the recorded command."""
 
 
-def build_replay_rig(folder: str, asked: str | SensorDesign | None = None) -> Rig:
+def build_replay_rig(folder: str, requested: str | SensorDesign | None = None) -> Rig:
     """Build a rig from the recording in `folder`, with the sensors that it contains.
 
     Args:
         folder: Folder of the recording, or of the run that contains it.
-        asked: Requested sensor; None: any.
+        requested: Requested sensor; None: any.
 
     Raises:
-        InputError: The recording cannot be replayed, or has another sensor than `asked`.
+        InputError: The recording cannot be replayed, or has another sensor than `requested`.
     """
     recording = load_recording(folder)
     _require_replayable(recording, folder)
@@ -181,7 +181,7 @@ def build_replay_rig(folder: str, asked: str | SensorDesign | None = None) -> Ri
         calibration_from_table(tables[name], folder) if name in tables else None
         for name in recording.fingers
     )
-    designs = tuple(recorded_sensors(recording, asked).values())
+    designs = tuple(recorded_sensors(recording, requested).values())
     return Rig(
         name="replay",
         fingers=make_fingers(recording.fingers, designs, cameras, valves, calibrations),
@@ -208,8 +208,8 @@ def _require_replayable(recording: Recording, folder: str) -> None:
 
 def build(request: RigRequest) -> Rig:
     """Build the rig of the backend "replay" of `mjtactile.rig.registry`."""
-    asked = request.scenario.sensor
-    return build_replay_rig(request.argument, None if asked == Scenario().sensor else asked)
+    requested = request.scenario.sensor
+    return build_replay_rig(request.argument, None if requested == Scenario().sensor else requested)
 
 
 def _reference_images(recording: Recording, finger: int) -> Iterator[Image]:

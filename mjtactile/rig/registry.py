@@ -102,9 +102,11 @@ def _require_built(rig: Rig, requested: Scenario) -> None:
     built = {finger.name: finger.design.name for finger in rig.fingers}
     require_fingers(requested.rig, list(built), requested.sensors)
     for finger, sensor in requested.sensors.items():
-        asked = load_sensor(sensor).name
-        if built[finger] != asked:
-            message = f"the rig {requested.rig!r} has the sensor {built[finger]!r}, not {asked!r}"
+        expected = load_sensor(sensor).name
+        if built[finger] != expected:
+            message = (
+                f"the rig {requested.rig!r} has the sensor {built[finger]!r}, not {expected!r}"
+            )
             raise InputError(message, field=f"sensors.{finger}", choices=[built[finger]])
 
 

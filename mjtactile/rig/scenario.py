@@ -146,11 +146,11 @@ def _replayed(scenario: Scenario, recording: Recording, given: Sequence[str]) ->
     sensors = recorded_sensors(recording, scenario.sensor if "sensor" in given else None)
     if not sensors:
         return scenario  # it has no cycles, and cannot be replayed
-    for finger, asked in scenario.sensors.items() if "sensors" in given else ():
+    for finger, requested in scenario.sensors.items() if "sensors" in given else ():
         if finger not in sensors:
             message = f"was recorded without a finger {finger!r}"
             raise InputError(message, source=recording.folder, field="sensors", choices=sensors)
-        require_recorded(recording, finger, sensors[finger], asked)
+        require_recorded(recording, finger, sensors[finger], requested)
     kept = {
         name: value
         for name, value in _run_fields(recording).items()

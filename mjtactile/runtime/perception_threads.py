@@ -105,12 +105,12 @@ class Perceivers:
             return self._run_in_turn(images, now, readings)
         pairs = list(zip(self._pipelines, images, strict=True))
         given = [(image, now, reading) for image, reading in with_readings(images, readings)]
-        for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True):
+        for (pipeline, _, thread), observed in zip(self._pipelines, given, strict=True):
             if thread is not None:
-                thread.start(pipeline.perceive, *seen)
+                thread.start(pipeline.perceive, *observed)
         outcomes = [
-            outcome_of(pipeline.perceive, *seen) if thread is None else None
-            for (pipeline, _, thread), seen in zip(self._pipelines, given, strict=True)
+            outcome_of(pipeline.perceive, *observed) if thread is None else None
+            for (pipeline, _, thread), observed in zip(self._pipelines, given, strict=True)
         ]
         end = scaled_clock.monotonic() + timeout
         found = [

@@ -243,10 +243,10 @@ class Session:
 
     def _require_shapes(self, asks: bool, source: Path | None = None) -> None:
         if asks and self.rig.touch_is_synthetic:
-            asked: Any = {"contact_shapes": True}
+            requested: Any = {"contact_shapes": True}
             if source is not None:
-                asked = {"REQUIRES": "contact_shape"}
-            require_effects((), source, **asked)
+                requested = {"REQUIRES": "contact_shape"}
+            require_effects((), source, **requested)
         for perception in self.perceptions:
             perception.contact_shapes = asks
         if asks:

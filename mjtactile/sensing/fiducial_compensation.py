@@ -37,16 +37,16 @@ class FiducialCompensation:
             design, camera, fiducials, settings.inverse, settings.fiducials
         )
 
-    def shift_and_scale(self, seen: FiducialDetections) -> tuple[Array, float]:
+    def shift_and_scale(self, observed: FiducialDetections) -> tuple[Array, float]:
         """Estimate the image shift (2,), px, to the right and down relative to the sensor file, and
         the scale factor, from at least two detected fiducials."""
-        expected = self._finder.places_px[seen.ids]
+        expected = self._finder.places_px[observed.ids]
         offset = expected - self._principal_point
         # displacement = shift + magnification * offset, by least squares
         rows = np.zeros((*expected.shape, 3))
         rows[:, :, :2] = np.eye(2)
         rows[:, :, 2] = offset
-        displacement = seen.center_px - expected
+        displacement = observed.center_px - expected
         solution = np.linalg.lstsq(rows.reshape(-1, 3), displacement.ravel())[0]
         right, down, magnification = solution
         return np.array([right, down]), 1 + float(magnification)
@@ -59,13 +59,13 @@ class FiducialCompensation:
         fiducials are detected, the camera drift is assumed near its last estimate."""
         reference = state.reference
         before = None if reference is None else reference.fiducials
-        markers, seen = self._finder.split(ellipses, before)
-        camera = None if before is None else self._camera.find(seen, before)
+        markers, observed = self._finder.split(ellipses, before)
+        camera = None if before is None else self._camera.find(observed, before)
         if camera is None and before is not None and state.camera is not None:
             camera = replace(state.camera, root=np.eye(OBSERVED_MODES), change=None)
         image = UNCHANGED if camera is None else self._camera.image(camera.mean, camera.darker)
         ellipses = image.inverse_ellipses(ellipses, markers)
-        return ellipses, replace(state, camera=camera, fiducials=seen)
+        return ellipses, replace(state, camera=camera, fiducials=observed)
 
     def correct_markers(
         self, state: PipelineState, markers: Markers
@@ -121,16 +121,16 @@ class FiducialFinder:
         return rest, _detections(ids, ellipses, nearest)
 
 
-def average_fiducials(seen: Sequence[FiducialDetections]) -> FiducialDetections:
+def average_fiducials(images: Sequence[FiducialDetections]) -> FiducialDetections:
     """Return the mean of repeated measurements by a camera that does not move. A fiducial counts if
     it is detected in at least half of them."""
-    count = np.bincount(np.concatenate([image.ids for image in seen]), minlength=1)
-    ids = np.flatnonzero(count >= len(seen) / 2)
+    count = np.bincount(np.concatenate([image.ids for image in images]), minlength=1)
+    ids = np.flatnonzero(count >= len(images) / 2)
 
     def mean(name: str) -> Array:
-        values = getattr(seen[0], name)
+        values = getattr(images[0], name)
         total = np.zeros((len(count), *values.shape[1:]))
-        for image in seen:
+        for image in images:
             total[image.ids] += getattr(image, name)
         return total[ids] / count[ids].reshape(-1, *(1,) * (total.ndim - 1))
 

@@ -97,10 +97,10 @@ class MarkerDetector:
     def check_markers(self, markers: Markers) -> Status:
         """Check that enough markers were detected to determine the shape; see
         `SensingPipeline.check_markers`."""
-        seen = len(markers)
-        if self._are_enough(seen):
+        count = len(markers)
+        if self._are_enough(count):
             return OK
-        text = f"only {seen} of {self.design.markers.count} markers detected"
+        text = f"only {count} of {self.design.markers.count} markers detected"
         return Status(StatusCode.TOO_FEW_MARKERS, text)
 
     def locate(self, state: PipelineState, image: Image, expected: Array, purpose: str) -> Markers:
@@ -152,25 +152,25 @@ def moved(expected: Array, markers: Markers) -> Array:
     return expected
 
 
-def average(seen: Sequence[Markers]) -> Markers:
+def average(images: Sequence[Markers]) -> Markers:
     """Return the mean of repeated measurements of markers at rest. A marker counts if it is
     detected in at least half of them."""
-    count = np.bincount(np.concatenate([m.ids for m in seen]))
+    count = np.bincount(np.concatenate([m.ids for m in images]))
     total = np.zeros((len(count), 3))
     normal = np.zeros((len(count), 3))
     cov = np.zeros((len(count), 3, 3))
     dark = np.zeros(len(count))
-    for m in seen:
+    for m in images:
         total[m.ids] += m.p_SM
         normal[m.ids] += m.n_S
         cov[m.ids] += m.cov_p
         dark[m.ids] += np.nan if m.darkness is None else m.darkness
-    ids = np.flatnonzero(count >= len(seen) / 2)
+    ids = np.flatnonzero(count >= len(images) / 2)
     n = count[ids][:, None]
     direction = normal[ids] / np.linalg.norm(normal[ids], axis=1, keepdims=True)
     mean = dark[ids] / count[ids]
     darkness = mean if np.isfinite(mean).all() else None
-    fiducials = [m.fiducials for m in seen if m.fiducials is not None]
+    fiducials = [m.fiducials for m in images if m.fiducials is not None]
     return Markers(
         ids,
         total[ids] / n,

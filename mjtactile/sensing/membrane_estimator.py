@@ -86,9 +86,9 @@ class MembraneEstimator:
         again = self._with_gas(aside, image, fewer)
         return again if self.fits_markers(again.shape) else found
 
-    def has_enough_markers(self, seen: int) -> bool:
+    def has_enough_markers(self, detected: int) -> bool:
         """Return True if this number of markers determines the shape."""
-        return seen >= self._settings.min_detected * self._design.markers.count
+        return detected >= self._settings.min_detected * self._design.markers.count
 
     def fits_markers(self, shape: Shape) -> bool:
         """Return True if the markers fit this shape. If all of them have drifted together, they
@@ -179,15 +179,17 @@ class MembraneEstimator:
             plane=plane,
         )
         shape, rest, volume = fit(gas, rest, state)
-        seen = self.gas_filter.after_image(gas, time, volume, self._settings.inverse.dent_fraction)
+        observed = self.gas_filter.after_image(
+            gas, time, volume, self._settings.inverse.dent_fraction
+        )
         if reading is not None and not gas.is_open:
-            seen, informative = self.gas_filter.read(seen, reading)
+            observed, informative = self.gas_filter.read(observed, reading)
             if informative:
-                shape, rest, volume = fit(seen, rest, state)
-                seen = seen.refine_estimate(volume)
+                shape, rest, volume = fit(observed, rest, state)
+                observed = observed.refine_estimate(volume)
         camera_drift = self._camera_drift(before, shape, reference, rest, time)
         state = replace(
-            state, gas=seen, reference=replace(reference, rest=rest), camera_drift=camera_drift
+            state, gas=observed, reference=replace(reference, rest=rest), camera_drift=camera_drift
         )
         return Estimate(markers, shape, rest, state, pressure_gap=_gap(shape, time, reading))
 

@@ -141,11 +141,11 @@ class SensingPipeline:
             DeviceError: Too few markers are detected, or they do not agree with the sensor file.
         """
         nominal = replace(state, flat=FlatReference.nominal(self.design))
-        seen = [
+        identified = [
             self.detector.locate(nominal, image, self.design.markers.p_SM, "flat reference")
             for image in images
         ]
-        flat = measure_flat(self.design, self.camera, seen, self.settings.reference)
+        flat = measure_flat(self.design, self.camera, identified, self.settings.reference)
         flat_at = max((image.time for image in images), default=-math.inf)
         return replace(nominal, flat=flat, expected=self.design.markers.p_SM, flat_at=flat_at)
 
@@ -193,14 +193,14 @@ class SensingPipeline:
             DeviceError: Too few markers are detected.
         """
         expected = self.design.markers.p_SM
-        seen = []
+        found = []
         for image in images:
             markers = self.detector.locate(state, image, expected, "rest reference")
             expected = moved(expected, markers)
-            seen.append(markers)
-        if not seen:
+            found.append(markers)
+        if not found:
             raise DeviceError(f"sensor {self.design.name}: rest reference: no images")
-        return average(seen)
+        return average(found)
 
     @validated()
     def load_rest_reference(

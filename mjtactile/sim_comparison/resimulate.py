@@ -181,9 +181,9 @@ def _follow(session: Session, recording: Recording, offset: float, until: float)
     start = session.rig.clock.now()
     with session.steps() as steps:
         for _ in range(round(last / session.rig.period) + 1):
-            seen = steps.observe()
-            now = seen.time - start
-            gathered.add(now, seen.touch, gauges(seen.valves))
+            observed = steps.observe()
+            now = observed.time - start
+            gathered.add(now, observed.touch, gauges(observed.valves))
             steps.send(_command(recording, times, now, offset))
     return gathered.signals()
 

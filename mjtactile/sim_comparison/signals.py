@@ -98,10 +98,10 @@ def recorded(episode: RecordedEpisode) -> Signals:
     counts = [episode.design_of(name).markers.count for name in episode.fingers]
     gathered = CollectedSignals(counts)
     rows = []
-    for cycle, seen in enumerate(episode.cycles()):
+    for cycle, observed in enumerate(episode.cycles()):
         pressures = gauges(episode.recording.valves(cycle), episode)
-        gathered.add(seen.time, seen.touch, pressures)
-        rows.append(np.asarray(seen.row["wrench"], float).reshape(len(counts), -1)[:, :3])
+        gathered.add(observed.time, observed.touch, pressures)
+        rows.append(np.asarray(observed.row["wrench"], float).reshape(len(counts), -1)[:, :3])
     found = gathered.signals()
     if episode.re_estimate:
         return found

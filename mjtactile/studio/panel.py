@@ -144,13 +144,13 @@ class Panel(plugin.ViewerPlugin):
         self._scale = surface_colormap.scale_text(kind, scale)
         for k, (estimated, field) in enumerate(zip(fingers, fields, strict=True)):
             self._ellipses[k] = ellipses_of(estimated)
-            seen = with_ellipses(estimated.image, _DETAIL * _IMAGE[0], self._ellipses[k])
-            height = round(seen.shape[0] / _DETAIL)
+            marked = with_ellipses(estimated.image, _DETAIL * _IMAGE[0], self._ellipses[k])
+            height = round(marked.shape[0] / _DETAIL)
             self._upload(
                 k,
                 "image",
                 cv2.cvtColor(
-                    cv2.resize(seen, (_IMAGE[0], height), interpolation=cv2.INTER_AREA),
+                    cv2.resize(marked, (_IMAGE[0], height), interpolation=cv2.INTER_AREA),
                     cv2.COLOR_BGR2RGB,
                 ),
             )

@@ -74,9 +74,9 @@ class GeomPool:
         mujoco.mjv_connector(geom, int(kind), width, start, end)
         geom.rgba = np.array(rgba, dtype=np.float32)
 
-    def ball(self, middle: Array, radius: float, rgba: Sequence[float]) -> None:
+    def ball(self, center: Array, radius: float, rgba: Sequence[float]) -> None:
         geom = self._next(_G.mjGEOM_SPHERE)
-        geom.pos = middle
+        geom.pos = center
         geom.size = np.full(3, radius)
         geom.rgba = np.array(rgba, dtype=np.float32)
 

@@ -34,17 +34,17 @@ class UserFingers:
 
     def snapshot(self) -> StudioSnapshot | None:
         fingers = tuple(self._fingers)
-        seen = tuple(finger.seen for finger in fingers)
-        if not seen:
+        readings = tuple(finger.seen for finger in fingers)
+        if not readings:
             return None
-        if any(a is not b for a, b in zip(seen, self._seen, strict=False)) or len(seen) != len(
-            self._seen
-        ):
+        if any(a is not b for a, b in zip(readings, self._seen, strict=False)) or len(
+            readings
+        ) != len(self._seen):
             number = 0 if self._latest is None else self._latest.number + 1
-            self._seen = seen
+            self._seen = readings
             self._latest = StudioSnapshot(
                 number,
-                max(estimate.image.time for estimate in seen),
+                max(estimate.image.time for estimate in readings),
                 tuple(
                     FingerSnapshot(
                         finger.name,
@@ -56,7 +56,7 @@ class UserFingers:
                         temperature=estimate.temperature,
                         body=finger.sensor.body_id,
                     )
-                    for finger, estimate in zip(fingers, seen, strict=True)
+                    for finger, estimate in zip(fingers, readings, strict=True)
                 ),
                 flags=_flags_of(fingers),
             )

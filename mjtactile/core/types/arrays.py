@@ -53,7 +53,7 @@ def freeze(
 def _fits(got: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
     if len(got) != len(shape):
         return False
-    for have, want in zip(got, shape, strict=True):  # a generator takes twice as long
-        if want is not None and want != have:
+    for have, expected in zip(got, shape, strict=True):  # a generator takes twice as long
+        if expected is not None and expected != have:
             return False
     return True

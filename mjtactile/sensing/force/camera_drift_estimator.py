@@ -139,7 +139,7 @@ class CameraDriftEstimator:
         s = self._s
         return float(mean[_SIZE]) + s.drift_levels * float(mean[_LEVELS]) * darker / s.drift_size
 
-    def with_size_error(self, seen: CameraDriftEstimate, darker: Array) -> CameraDriftEstimate:
+    def with_size_error(self, observed: CameraDriftEstimate, darker: Array) -> CameraDriftEstimate:
         """Return the drift with added uncertainty for markers that became `darker` (m,).
 
         Circles grow along a curve as their level changes. Fiducials show one point of this curve
@@ -147,15 +147,15 @@ class CameraDriftEstimator:
         darkness. Where markers clip and fiducials hardly do, the circles of the markers must
         provide the information.
         """
-        farther = float(darker.mean()) - seen.darker
+        farther = float(darker.mean()) - observed.darker
         if abs(farther) < _AS_DARK:
-            return seen
-        bent = self._own.curve_fraction * math.hypot(1.0, float(seen.mean[_LEVELS]))
+            return observed
+        bent = self._own.curve_fraction * math.hypot(1.0, float(observed.mean[_LEVELS]))
         bias = self._s.drift_levels * bent * farther / self._s.drift_size
-        covariance = seen.root @ seen.root.T
+        covariance = observed.root @ observed.root.T
         covariance[_SIZE, _SIZE] += bias**2
         covariance[_LEVELS, _LEVELS] += bent**2
-        return replace(seen, root=np.linalg.cholesky(covariance))
+        return replace(observed, root=np.linalg.cholesky(covariance))
 
     def image(self, mean: Array, darker: float) -> ImageTransform:
         """Return the part of a camera drift `mean` (K,) that is an image transform, for circles
@@ -170,19 +170,19 @@ class CameraDriftEstimator:
             s.drift_size * float(mean[_SIZE]) + by_levels,
         )
 
-    def correct_positions(self, p_SM: Array, darker: Array, seen: CameraDriftEstimate) -> Array:
+    def correct_positions(self, p_SM: Array, darker: Array, observed: CameraDriftEstimate) -> Array:
         """Return the markers (m, 3), m, frame S, as observed by the camera of the rest reference.
         The image transform is already compensated. `darker` (m,) is as for `camera_modes`."""
-        R, aside = self._motion(seen.mean)
+        R, aside = self._motion(observed.mean)
         design = self.design
         away = (p_SM - design.camera.p_SC - aside) @ R
-        levels_px = self._s.drift_levels * float(seen.mean[_LEVELS])
+        levels_px = self._s.drift_levels * float(observed.mean[_LEVELS])
         if levels_px == 0.0:
             return design.camera.p_SC + away
         # from the camera's apparent position through the glass, distance is inverse to the radius
         apparent = away - [0.0, 0.0, design.apparent_glass_thickness]
         radius_px = design.camera.fx * design.markers.radius / apparent[:, 2]
-        radius_change_px = levels_px * (darker - seen.darker)
+        radius_change_px = levels_px * (darker - observed.darker)
         nearer = radius_change_px / (radius_px - radius_change_px)
         return design.camera.p_SC + away + nearer[:, None] * apparent
 

@@ -126,11 +126,11 @@ class CameraDriftFilter:
         return CameraDriftFilter(self.mean + weight * moved, known, time)
 
 
-def drift_of(found: Array, seen: Array) -> float:
+def drift_of(found: Array, observed: Array) -> float:
     """Return the mean square drift relative to its expected value; 1 means as assumed. `found` is
-    the estimated drift in standard deviations (gas, then the camera's modes). `seen` is the
+    the estimated drift in standard deviations (gas, then the camera's modes). `observed` is the
     fraction of their variance that estimates have. Gas counts as one mode of four."""
-    fraction = found**2 / seen
+    fraction = found**2 / observed
     return float((fraction[0] + 3 * fraction[1:].mean()) / 4)
 
 

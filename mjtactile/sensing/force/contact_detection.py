@@ -110,20 +110,20 @@ def follow(
     rest = zero.rest
     ids = markers.ids
     blend = step / (step + s.smooth)
-    seen = estimator.positions(rest.c)[ids] + rest.offset[ids]
+    predicted = estimator.positions(rest.c)[ids] + rest.offset[ids]
     offsets = zero.offsets.copy()
-    offsets[ids] += blend * (markers.p_SM - seen - offsets[ids])
+    offsets[ids] += blend * (markers.p_SM - predicted - offsets[ids])
     bulge = _bulge_change(estimator, rest, shape)
     moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
     fraction, local = _explain(offsets[ids], moved[ids], markers.cov_p)
-    pace = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
-    fraction = float(np.clip(pace * fraction, -s.drift_rate * step, s.drift_rate * step))
+    rate = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
+    fraction = float(np.clip(rate * fraction, -s.drift_rate * step, s.drift_rate * step))
     if rest.gas.constant is None:
         gas = rest.gas
     else:
         gas = replace(rest.gas, constant=rest.gas.constant * (1 + fraction))
     left = np.zeros_like(offsets)
-    left[ids] = s.offset_fraction * pace * (offsets[ids] - fraction * moved[ids])
+    left[ids] = s.offset_fraction * rate * (offsets[ids] - fraction * moved[ids])
     return RestTracker(
         replace(rest, gas=gas, c=rest.c + fraction * bulge, offset=rest.offset + left),
         offsets - fraction * moved - left,

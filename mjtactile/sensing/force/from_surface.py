@@ -113,42 +113,46 @@ def estimate_force_from_surface(
             f"{smoothing!r} m is not between 0 and a quarter of the outline", field="smoothing"
         )
     grid = _Grid(corners, smoothing)
-    heights, seen = grid.fit(points, "points")
+    heights, observed = grid.fit(points, "points")
     bent = grid.curvature(heights)
     rest_heights, rest_observed = grid.fit(membrane.points, "membrane")
-    seen &= rest_observed
+    observed &= rest_observed
     rest_bent = grid.curvature(rest_heights)
-    tension = _tension_of_rest(grid, rest_bent, seen, membrane.pressure)
+    tension = _tension_of_rest(grid, rest_bent, observed, membrane.pressure)
     # residual of the smooth tension at rest: camera error, or stretch that differs by direction
     held = tension * (bent - rest_bent) + membrane.pressure
-    factor = _curvature_factor(grid, held, seen, pressure)
+    factor = _curvature_factor(grid, held, observed, pressure)
     tension = factor * tension
     held = factor * held
-    pressing = np.where(seen, pressure - held, np.nan)
-    return _summed(grid, heights, pressing, pressure, float(np.median(tension[seen])))
+    pressing = np.where(observed, pressure - held, np.nan)
+    return _summed(grid, heights, pressing, pressure, float(np.median(tension[observed])))
 
 
-def _tension_of_rest(grid: _Grid, bent: Array, seen: NDArray[np.bool_], pressure: float) -> Array:
+def _tension_of_rest(
+    grid: _Grid, bent: Array, observed: NDArray[np.bool_], pressure: float
+) -> Array:
     """Compute the smooth tension (nx, ny), N/m, of a resting surface. It is the pressure divided by
     a quadric fitted to the curvatures `bent` (nx, ny), 1/m."""
     X, Y = np.meshgrid(grid.x - grid.x.mean(), grid.y - grid.y.mean(), indexing="ij")
     columns = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], axis=-1)
-    found, *_ = np.linalg.lstsq(columns[seen], bent[seen], rcond=None)
+    found, *_ = np.linalg.lstsq(columns[observed], bent[observed], rcond=None)
     smooth = columns @ found
-    median = float(np.median(smooth[seen]))
+    median = float(np.median(smooth[observed]))
     if median <= 0:
         raise InputError("bulges inward at rest: z must point outward", field="membrane")
     return pressure / np.clip(smooth, 0.3 * median, 3.0 * median)
 
 
-def _curvature_factor(grid: _Grid, held: Array, seen: NDArray[np.bool_], pressure: float) -> float:
+def _curvature_factor(
+    grid: _Grid, held: Array, observed: NDArray[np.bool_], pressure: float
+) -> float:
     """Return a factor on the curvature pressure `held` (nx, ny), Pa. It makes the contact pressure
     zero on the free surface."""
     factor = 1.0
     for _ in range(_ROUNDS):
-        contact = seen & (np.abs(pressure - factor * held) > _PRESSED * pressure)
-        free = seen & ~grid.grown(contact, _AWAY)
-        if free.sum() < _FREE_MIN * seen.sum():
+        contact = observed & (np.abs(pressure - factor * held) > _PRESSED * pressure)
+        free = observed & ~grid.grown(contact, _AWAY)
+        if free.sum() < _FREE_MIN * observed.sum():
             break
         factor = pressure / float(held[free].mean())
     return factor
@@ -227,8 +231,8 @@ class _Grid:
             spread = 1.48 * float(np.median(np.abs(residual))) + 1e-9
             weight = 1 / (1 + (residual / (_OUTLIER * spread)) ** 2)
         shape = self.inside.shape
-        seen = each.reshape(shape) > _MIN_SEEN * usual
-        return heights.reshape(shape), self.inside & ~self.grown(~seen | ~self.inside, 1.0)
+        observed = each.reshape(shape) > _MIN_SEEN * usual
+        return heights.reshape(shape), self.inside & ~self.grown(~observed | ~self.inside, 1.0)
 
     def _interpolation(self, positions: Array) -> Any:
         """Return the bilinear interpolation matrix (n, nx ny), sparse."""

@@ -110,10 +110,10 @@ class InverseMembrane(LoadedMembrane):
                 or not gain.serves(c, markers, rest, camera, lost, correlation, mean)
             ):
                 gain = self._gain(c, markers, rest, before, camera, lost, correlation, mean)
-            seen = markers.p_SM - rest.offset[markers.ids]
+            observed = markers.p_SM - rest.offset[markers.ids]
             if isinstance(camera, CameraDriftFilter):
-                seen -= gain.modes @ camera.mean
-            shape = self._step(c, markers, seen, rest, gain, steps)
+                observed -= gain.modes @ camera.mean
+            shape = self._step(c, markers, observed, rest, gain, steps)
             settled = float(np.abs(shape.c - c).max()) < SETTLED
             c = shape.c
             before = shape
@@ -135,28 +135,30 @@ class InverseMembrane(LoadedMembrane):
         ids = markers.ids
         noise = markers.cov_p + np.diag(np.square(self.settings.face_floor))
         weights = np.linalg.inv(np.linalg.cholesky(noise))
-        seen = markers.p_SM - rest.offset[ids]
+        observed = markers.p_SM - rest.offset[ids]
         modes = self._camera_modes(self.positions(start.c)[ids], darker(markers, rest), camera)
         if isinstance(camera, CameraDriftFilter):
-            seen -= modes @ camera.mean
-        return self.planes.fit(markers, seen, weights, modes @ camera.root, rest, start, measured)
+            observed -= modes @ camera.mean
+        return self.planes.fit(
+            markers, observed, weights, modes @ camera.root, rest, start, measured
+        )
 
     def _step(
         self,
         c: Array,
         markers: Markers,
-        seen: Array,
+        detected: Array,
         rest: InverseRest,
         gain: Linearization,
         count: int,
     ) -> Shape:
         """Do one Gauss-Newton step from `c`. The membrane relaxes to equilibrium. Tractions and
-        drift explain the remaining motion of the markers. `seen` (m, 3), m, are the positions
+        drift explain the remaining motion of the markers. `detected` (m, 3), m, are the positions
         observed by the camera as assumed."""
         ids = markers.ids
         m = len(markers)
         slopes_off = None
-        data = seen - self._material[ids]
+        data = detected - self._material[ids]
         state = self.state(c, rest)
         pressure, _ = self.membrane.gas_pressure(state, rest.gas)
         if self._slopes is not None:
@@ -261,9 +263,9 @@ class InverseMembrane(LoadedMembrane):
         kernel("inverse_gain")(*observed, *nodes, prior, stiffness.solve(load), *results)
         drift = _observed_drift(gas_observed, weights @ modes @ camera.root)
         innovation = _innovation(half, drift)
-        seen = drift.copy()
-        kernel("solve_lower")(*seen.shape, innovation, seen)
-        known = seen.T @ seen
+        whitened = drift.copy()
+        kernel("solve_lower")(*whitened.shape, innovation, whitened)
+        known = whitened.T @ whitened
         return Linearization(
             c=c,
             ids=ids,
@@ -389,8 +391,8 @@ class InverseMembrane(LoadedMembrane):
         load[2] = -np.outer(along_x[:, x], along_y[:, y]).ravel() / area
         moved = self.positions(stiffness.solve(load)) - self.positions(np.zeros_like(rest.c))
         noise = markers.cov_p + self.settings.marker_floor**2 * np.eye(3)
-        seen = moved[markers.ids]
-        information = (seen * np.linalg.solve(noise, seen[..., None])[..., 0]).sum()
+        observed = moved[markers.ids]
+        information = (observed * np.linalg.solve(noise, observed[..., None])[..., 0]).sum()
         return float(1 / np.sqrt(max(information, 1e-12)))
 
     def _posterior(self, shape: Shape, positions: Array) -> Array:

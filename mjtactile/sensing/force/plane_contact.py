@@ -126,18 +126,18 @@ class PlaneContactSolver:
     def fit(
         self,
         markers: Markers,
-        seen: Array,
+        observed: Array,
         weights: Array,
         drift: Array,
         rest: InverseRest,
         start: PlaneContact,
         measured: tuple[float, float] | None = None,
     ) -> PlaneContact | None:
-        """Fit the plane to the positions `seen` (m, 3), m, of the markers.
+        """Fit the plane to the positions `observed` (m, 3), m, of the markers.
 
         Args:
             markers: Detected markers.
-            seen: Their positions without the offsets at rest.
+            observed: Their positions without the offsets at rest.
             weights: Whitening (m, 3, 3) of the positions.
             drift: Motion (m, 3, k), m, of the markers for one standard deviation of each mode of
                 drift.
@@ -162,7 +162,7 @@ class PlaneContactSolver:
             if found is None:
                 return None
             c, load, pressing, moved = found.c, found.load, found.pressing, found.moved
-            residual = (weights @ (seen - material - at_markers @ c.T)[..., None]).ravel()
+            residual = (weights @ (observed - material - at_markers @ c.T)[..., None]).ravel()
             J = np.stack(
                 [at_markers @ displacement.T for displacement in moved], axis=-1
             )  # (m, 3, 3)

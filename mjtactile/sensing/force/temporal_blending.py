@@ -69,18 +69,22 @@ class BlendEstimator:
     def after(self, before: Blend | None, markers: Markers) -> Blend:
         """Return the blending information after an image with these markers. It gains nothing from
         an image with other markers than the last."""
-        seen = Blend(markers.ids, markers.p_SM)
+        observed = Blend(markers.ids, markers.p_SM)
         if before is None:
-            return seen
-        seen = replace(
+            return observed
+        observed = replace(
             before, ids=markers.ids, p=markers.p_SM, moved=self._motion_in_sds(before, markers)
         )
-        if seen.moved is None or before.moved is None or len(seen.moved) != len(before.moved):
-            return seen
-        squares = (np.square(seen.moved).sum() + np.square(before.moved).sum()) / 2
+        if (
+            observed.moved is None
+            or before.moved is None
+            or len(observed.moved) != len(before.moved)
+        ):
+            return observed
+        squares = (np.square(observed.moved).sum() + np.square(before.moved).sum()) / 2
         return replace(
-            seen,
-            products=_KEPT * before.products + float((seen.moved * before.moved).sum()),
+            observed,
+            products=_KEPT * before.products + float((observed.moved * before.moved).sum()),
             squares=_KEPT * before.squares + float(squares),
             count=_KEPT * before.count + 1,
         )

@@ -212,8 +212,8 @@ def _together(
     small = (
         good.any() and np.median(ellipses.semi_axes_px[good, 1]) < settings.locate.min_shared_radius
     )
-    asked = (small or neighbours == "always") and np.ptp(radius) == 0
-    depth = agree_on_depth(poses, settings.smoothness) if asked else None
+    use_neighbors = (small or neighbours == "always") and np.ptp(radius) == 0
+    depth = agree_on_depth(poses, settings.smoothness) if use_neighbors else None
     return _preferred(
         alike,
         camera,

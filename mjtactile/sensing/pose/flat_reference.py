@@ -62,22 +62,22 @@ class FlatReference:
 def measure_flat(
     design: SensorDesign,
     camera: Camera,
-    seen: Sequence[Markers],
+    images: Sequence[Markers],
     s: ReferenceSettings = DEFAULTS.reference,
 ) -> FlatReference:
-    """Estimate the camera pose and marker radii from images of the flat membrane. `seen` holds the
-    identified markers of each image, located with the file's pose and radii. Raises DeviceError if
-    they contradict the sensor file."""
+    """Estimate the camera pose and marker radii from images of the flat membrane. `images` holds
+    the identified markers of each image, located with the file's pose and radii. Raises DeviceError
+    if they contradict the sensor file."""
     count = design.markers.count
     total = np.zeros((count, 2))
     times = np.zeros(count)
-    for markers in seen:
+    for markers in images:
         total[markers.ids] += optics.project(camera, markers.p_SM - design.camera.p_SC)
         times[markers.ids] += 1
-    ids = np.flatnonzero(times >= max(len(seen) / 2, 1))
+    ids = np.flatnonzero(times >= max(len(images) / 2, 1))
     if len(ids) < _FEWEST_MARKERS:
         raise DeviceError(
-            f"sensor {design.name}: flat reference: {len(seen)} images together show only "
+            f"sensor {design.name}: flat reference: {len(images)} images together show only "
             f"{len(ids)} of {count} markers"
         )
     uv = total[ids] / times[ids][:, None]
@@ -89,8 +89,8 @@ def measure_flat(
             "sensor file, and that the membrane is flat"
         )
     requested = _apparent_depth(camera, (design.markers.p_SM - p_SC) @ R_SC)
-    ratios = np.full((len(seen), count), np.nan)
-    for row, markers in zip(ratios, seen, strict=True):
+    ratios = np.full((len(images), count), np.nan)
+    for row, markers in zip(ratios, images, strict=True):
         row[markers.ids] = requested[markers.ids] / _apparent_depth(
             camera, markers.p_SM - design.camera.p_SC
         )

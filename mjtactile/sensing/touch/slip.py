@@ -101,11 +101,11 @@ def classify(
     now = _follow(time, estimator, shape, (shear / normal, around), before, s)
     load = float(np.linalg.norm(shear)) / normal
     velocity, displacement = _motion(now.samples, s)
-    asked = s.evidence if uneven < s.sticks else s.evidence_uneven
+    required = s.evidence if uneven < s.sticks else s.evidence_uneven
     is_even = is_finite_value and uneven < s.even
     # the center sticks, in whatever direction the contact moves
     rolls = is_finite_value and uneven > s.rolls
-    goes = not rolls and displacement > s.min_displacement and evidence(now, normal, s) > asked
+    goes = not rolls and displacement > s.min_displacement and evidence(now, normal, s) > required
     slips = load > s.min_load and (is_even or goes)
     if not slips and _turns(now.samples, s):
         slips = True
@@ -179,8 +179,8 @@ def turning(estimator: InverseMembrane, shape: Shape) -> tuple[float, float]:
 
 def _turns(samples: Sequence[SlipSample], s: SlipSettings) -> bool:
     """Return True if the newest image and one of the two before show rotational sliding."""
-    seen = [sample.turning < s.uniform_rotation for sample in samples[-_IMAGES:]]
-    return seen[-1] and sum(seen) > 1
+    observed = [sample.turning < s.uniform_rotation for sample in samples[-_IMAGES:]]
+    return observed[-1] and sum(observed) > 1
 
 
 def evidence(history: SlipHistory, normal: float, s: SlipSettings = DEFAULTS.slip) -> float:

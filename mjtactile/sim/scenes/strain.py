@@ -79,13 +79,13 @@ class SoftSolid:
     def pose(self, data: mujoco.MjData) -> tuple[Array, Array]:
         """Return the center of volume (3,) m, frame W, and the rotation (3, 3) since the start."""
         now = data.flexvert_xpos[self._vertices]
-        middle = self._weights @ now
+        center = self._weights @ now
         before = self._weights @ self._rest
         U, _, Vt = np.linalg.svd(
-            (now - middle).T @ (self._weights[:, None] * (self._rest - before))
+            (now - center).T @ (self._weights[:, None] * (self._rest - before))
         )
         signs = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-        return middle, U @ signs @ Vt
+        return center, U @ signs @ Vt
 
     @property
     def rest_center(self) -> Array:

@@ -105,11 +105,11 @@ def _slab(heights: Array, slopes: Array, half: float) -> tuple[Array, Array]:
     level = np.abs(slopes) <= _TINY
     inside = np.abs(heights) < half
     slope = np.where(level, 1.0, slopes)
-    middle = -heights / slope
+    center = -heights / slope
     extent = half / np.abs(slope)
     enters = np.where(inside, -np.inf, MISSED)
     leaves = np.where(inside, np.inf, -MISSED)
-    return np.where(level, enters, middle - extent), np.where(level, leaves, middle + extent)
+    return np.where(level, enters, center - extent), np.where(level, leaves, center + extent)
 
 
 def _capsule(radius: float, half: float) -> Entry:

@@ -20,8 +20,8 @@ def exposed(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
 
 def exposed_by_itself(pixels: Floats, t: CameraFaults, shot: FaultContext) -> Floats:
     """Apply the gain that would give the previous image the target mean."""
-    seen = pixels if shot.last is None else shot.last[1]
-    gain = np.float32(min(t.auto_exposure / max(float(seen.mean()), 1.0), _MAX_GAIN))
+    levels = pixels if shot.last is None else shot.last[1]
+    gain = np.float32(min(t.auto_exposure / max(float(levels.mean()), 1.0), _MAX_GAIN))
     return np.clip(gain * pixels, 0, 255)
 
 
