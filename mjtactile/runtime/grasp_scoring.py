@@ -19,14 +19,14 @@ from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.scene_triangles import SceneView
 
-_RISEN = 0.01  # minimum lift of the gripper for the decision between held and lost, m
+RISEN = 0.01  # minimum lift of the gripper for the decision between held and lost, m
 # An object counts as held if it rose by at least this fraction of the gripper's lift,
-_HELD_FRACTION = 0.5
+HELD_FRACTION = 0.5
 # Interval of the strain check of a soft object, s; strain changes as slowly as the fingers move
 _STRAIN_EVERY = 0.02
 _NO_MARKERS = np.zeros((0, 3))
 # minus this tolerance, m: without a lift, an object that is not dropped counts as held
-_HELD_SLACK = 1e-3
+HELD_SLACK = 1e-3
 _STANDS = 2e-3  # maximum height change of an object that stands, m
 
 
@@ -129,8 +129,8 @@ class GraspScore:
         self._track_slip((p_WO - p_WH) @ ground_truth.gripper_rotation(self.world))
         self._carried = max(self._carried, float((each @ self._friction).max()))
         lifted = float(p_WH[2] - self._gripper_start)
-        risen = bool(p_WO[2] - self._rest_height > _HELD_FRACTION * lifted - _HELD_SLACK)
-        self.lost |= lifted > _RISEN and not risen
+        risen = bool(p_WO[2] - self._rest_height > HELD_FRACTION * lifted - HELD_SLACK)
+        self.lost |= lifted > RISEN and not risen
         if self.phase == "hold":
             self._hold_sum += float(each.sum()) / each.shape[1]
             self._hold_steps += len(each)

@@ -28,9 +28,9 @@ VERSION = "3"
 """Version, incremented with every change of the criteria or their measurement."""
 _EVERY = 0.02  # interval between evaluations of the minimum grip force, s
 _IN_AIR = 0.01  # minimum gripper height at which the fingers alone carry the object, m
-_RELEASED = 0.02  # maximum normal force per finger of a released object, N
+RELEASED = 0.02  # maximum normal force per finger of a released object, N
 _PULL = 0.3  # minimum pull that requires a release, N
-_STANDS = 5e-3  # tolerance of the height of a standing object, m
+STANDS = 5e-3  # tolerance of the height of a standing object, m
 _GENEROUS = 2.0  # ratio of the grip to the required force that counts as excessive
 
 
@@ -84,7 +84,7 @@ class TaskScorer:
         if math.isnan(self._up_since):
             if self.is_up():
                 self._up_since = time
-        elif math.isnan(self.released_at) and second < _RELEASED:
+        elif math.isnan(self.released_at) and second < RELEASED:
             self.released_at = time - self._up_since
             self.torn = phase in ("lift", "hold")
         if phase in ("lower", "release") and not math.isnan(self._up_since):
@@ -100,7 +100,7 @@ class TaskScorer:
             stacked = self.world.second_object
             self.second_fell |= stacked is not None and stacked.has_fallen
             need = self.need()
-            if need > 0 and second > _RELEASED and not is_pulled:
+            if need > 0 and second > RELEASED and not is_pulled:
                 grip = float(np.mean(forces))
                 announced = self.task.goal.push / self.friction_sum()
                 self.margins.append(grip / need)
@@ -148,7 +148,7 @@ class TaskScorer:
             tilt, height = self._standing()
             if math.degrees(abs(tilt)) > math.degrees(counts.max_tilt):
                 return f"it is not upright: tilted by {math.degrees(tilt):.0f} deg"
-            if abs(height - self._start[1]) > _STANDS:
+            if abs(height - self._start[1]) > STANDS:
                 return (
                     "it does not stand at its place: height off by "
                     f"{1e3 * (height - self._start[1]):+.0f} mm"

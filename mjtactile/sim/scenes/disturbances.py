@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 UP = 0.9
 """Fraction of the commanded lift height at which the gripper counts as lifted."""
 _PREFIXES = (PREFIX, "table/")
-_TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
+TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
 _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
 _FASTER = 2.0  # upper bound of the rising speed, as a multiple of the lift speed
 _RAMP_PERIOD = 0.01  # update period of mass and friction, s
@@ -177,7 +177,7 @@ class DisturbanceSchedule:
             return np.array(event.direction) * event.values["force"] * done
         mass = float(self._world.model.body_mass[self._bodies].sum())
         velocity = self._fraction @ data.cvel[self._bodies, 3:]
-        return -mass * (self._world.model.opt.gravity + velocity / _TAKEN_TIME)
+        return -mass * (self._world.model.opt.gravity + velocity / TAKEN_TIME)
 
     def _is_held(self) -> bool:
         """Return True if as many membranes are in contact as a grip requires."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from mjtactile.sim.scenes import disturbances
 from mjtactile.warp.device.gripper import Drive, height_of
 from mjtactile.warp.device.restart import Poses, Scene, Starts, place_fixed
 from mjtactile.warp.device.task_score import TaskState
@@ -30,7 +31,7 @@ VALUES = {
     "move_support": ("height",),
     "pull": ("force",),
 }
-_TAKEN_TIME = wp.constant(0.02)  # time to stop an object taken by a person, s
+_TAKEN_TIME = wp.constant(disturbances.TAKEN_TIME)
 
 
 @wp.func

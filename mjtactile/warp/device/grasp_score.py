@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from mjtactile.core import policy
+from mjtactile.runtime import grasp_scoring
 from mjtactile.warp.device.grasp_phase import (
     APPROACH,
     HOLD,
@@ -26,9 +27,9 @@ DROPPED = wp.constant(2)
 CRUSHED = wp.constant(3)
 FAILED = wp.constant(4)
 OUTCOMES = ("", "held", "dropped", "crushed", "error")
-_RISEN = wp.constant(0.01)  # minimum lift for the decision between held and lost, m
-_HELD_FRACTION = wp.constant(0.5)
-_HELD_SLACK = wp.constant(1.0e-3)
+_RISEN = wp.constant(grasp_scoring.RISEN)
+_HELD_FRACTION = wp.constant(grasp_scoring.HELD_FRACTION)
+_HELD_SLACK = wp.constant(grasp_scoring.HELD_SLACK)
 _LEAD = wp.constant(policy.LEAD)
 _CLEAR = wp.constant(policy.CLEAR)
 

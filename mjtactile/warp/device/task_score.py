@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warp as wp
 
+from mjtactile.runtime import task_scoring
 from mjtactile.warp.device.grasp_phase import HOLD, LIFT, LOWER, RELEASE
 
 wp.set_module_options({"enable_backward": False})
 
-_RELEASED = wp.constant(0.02)  # maximum normal force per finger of a released object, N
-_STANDS = wp.constant(5.0e-3)  # tolerance of the height of a standing object, m
+_RELEASED = wp.constant(task_scoring.RELEASED)
+_STANDS = wp.constant(task_scoring.STANDS)
 
 
 @wp.struct
