@@ -76,7 +76,7 @@ START = {f"{clock}_time": 0.0 for clock in ("pull", "wait", "test", "slip")} | {
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle: the function of the phase that the last command was in."""
+    """Run one control cycle: the function of the last command's phase."""
     return phases.run_cycle(
         observation,
         PHASES,
@@ -94,7 +94,7 @@ def _stored(kind: Any, command: Command) -> Any:
 
 
 def grip_as_needed(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Learn load and friction from this moment, and ask for the grip that they need."""
+    """Update the estimates of load and friction, and set the target force that they require."""
     touch = observation.touch
     memory = command.memory
     friction = _stored(FrictionFilter, command).after(
@@ -161,7 +161,7 @@ def _regulate(observation: Observation, command: Command, forces: list[float]) -
 
 
 def _lift(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Slowly at first: the load comes onto the fingers, and the grip with it; then on."""
+    """Lift slowly until the fingers carry the load and the grip force has followed; then faster."""
     command = _regulated(observation, command, forces)
     target = command.memory["target"]
     grip = sum(forces) / len(forces)

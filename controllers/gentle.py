@@ -35,7 +35,7 @@ TABLE_FORCE = 0.1
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle: the function of the phase that the last command was in."""
+    """Run one control cycle: the function of the last command's phase."""
     return phases.run_cycle(
         observation,
         PHASES,
@@ -61,8 +61,8 @@ def _approach(observation: Observation, command: Command, forces: list[float]) -
 
 
 def _close(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """One finger has touched: go on slowly until both do, so that neither pushes the object
-    over."""
+    """Close slowly after the first contact until both fingers touch, so that neither tips the
+    object."""
     if min(forces) > TOUCH_FORCE or max(forces) > TARGET_FORCE:
         return phases.enter_phase(command, "regulate")
     if command.memory["phase_time"] > phases.GRIP_TIMEOUT:

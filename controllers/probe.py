@@ -36,7 +36,7 @@ START: dict[str, float] = dict.fromkeys(
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle: dispatch on the phase that the last command was in."""
+    """Run one control cycle: the function of the last command's phase."""
     command = phases.start_cycle(observation, START, SERVO_FORCE_LIMIT)
     forces = [touch.force_normal for touch in observation.touch]
     if not all(

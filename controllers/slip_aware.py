@@ -39,7 +39,7 @@ START = {"target": FIRST_FORCE, "since_slip": 1.0, "slips": 0.0}
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle: the function of the phase that the last command was in."""
+    """Run one control cycle: the function of the last command's phase."""
     return phases.run_cycle(
         observation,
         PHASES,

@@ -34,7 +34,7 @@ START = {"phase_time": 0.0, "effort": 0.0, "free": 0.0, "stuck_time": 0.0}
 
 
 def step(observation: Observation) -> Command:
-    """One control cycle."""
+    """Run one control cycle."""
     gripper = observation.gripper
     goal = observation.goal
     period = observation.period
@@ -72,7 +72,7 @@ def step(observation: Observation) -> Command:
 
 
 def _approach(observation: Observation, command: Command) -> Command:
-    """Close until the servos push with more than moving takes."""
+    """Close until the servo effort exceeds that of free motion."""
     effort = command.memory["effort"]
     if command.memory["phase_time"] < FREE_TIME:
         command = phases.remember(command, free=effort)

@@ -87,8 +87,8 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 @cache
 def rectangle_coefficients(aspect: float, poisson: float) -> tuple[float, float]:
-    """Return C1 and C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside
-    the table."""
+    """Return C1 and C2 of Eq. M1 for b/a = `aspect` (1 to 4) and nu (0.3 to 0.5); NaN outside the
+    table."""
     if not (_ASPECT[0] <= aspect <= _ASPECT[-1] and _POISSON[0] <= poisson <= _POISSON[-1]):
         return np.nan, np.nan
     table = np.array(_C2)  # one row per aspect ratio

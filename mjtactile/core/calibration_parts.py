@@ -219,8 +219,8 @@ class ForceScale:
     stamp: CalibrationMetadata = given()
 
     def apply(self, traction: Traction) -> Traction:
-        """Multiply a traction by the scale and add the scale's uncertainty to the wrench's: cov'
-        = k^2 cov + sd^2 w w^T."""
+        """Multiply a traction by the scale and add the scale's uncertainty to the wrench's: cov' =
+        k^2 cov + sd^2 w w^T."""
         wrench = traction.wrench
         k = self.scale
         cov = k**2 * traction.wrench_cov + self.sd**2 * np.outer(wrench, wrench)

@@ -161,12 +161,12 @@ class SensorDesign:
 
     @cached_property
     def chamber_volume_flat(self) -> float:
-        """Gas volume with a flat membrane, m^3; asked several times an image."""
+        """Gas volume with a flat membrane, m^3."""
         volume = self.frame.area * self.chamber.depth + self.chamber.extra_volume
         return volume if self.fiducials is None else volume + self.fiducials.volume(self)
 
     def markers_outside_image(self) -> NDArray[np.int64]:
-        """Return the numbers of the flat membrane's markers that are not completely in the image.
+        """Return the indices of the flat membrane's markers that are not completely in the image.
 
         Returns:
             Indices into the marker layout; empty: all are visible.
@@ -256,7 +256,7 @@ def sensor_from_table(table: Mapping[str, Any], *, name: str, source: str) -> Se
 
 
 def _check_markers(design: SensorDesign, section: Section) -> None:
-    """Markers do not touch, and lie within the opening."""
+    """Check that markers do not touch each other and lie within the opening. Raises InputError."""
     frame = design.frame
     markers = design.markers
     for axis, count, pitch, size in (

@@ -203,7 +203,7 @@ class FilePath(Entry):
 
 @dataclass(frozen=True, kw_only=True)
 class Table(Entry):
-    """A table with whatever is in it."""
+    """A table with unchecked content."""
 
     def read(self, section: Section, default: Any) -> Any:
         return section.table(self.key)

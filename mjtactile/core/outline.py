@@ -97,8 +97,8 @@ class Outline:
         return _to_square(self._disc(plane))
 
     def disc(self, plane: Array) -> Array:
-        """Map points (N, 2) m of the opening to points (N, 2) of the unit disc. Points outside
-        of the opening map to the disc's boundary."""
+        """Map points (N, 2) m of the opening to points (N, 2) of the unit disc. Points outside of
+        the opening map to the disc's boundary."""
         w = self._disc(plane)
         return np.column_stack([np.real(w), np.imag(w)])
 
@@ -152,8 +152,8 @@ class Outline:
         return middles + by * normals
 
     def points(self, count: int) -> Array:
-        """Return evenly spaced points (count, 2), m, on the outline, counter-clockwise from the
-        x axis."""
+        """Return evenly spaced points (count, 2), m, on the outline, counter-clockwise from the x
+        axis."""
         w = np.exp(2j * np.pi * np.arange(count) / count)
         z = self._mapped(w)[0]
         return np.column_stack([np.real(z), np.imag(z)])
@@ -213,8 +213,8 @@ def _to_square(w: NDArray) -> Array:
 
 
 def _sampled(corners: Sequence[tuple[float, float]], radius: float) -> NDArray:
-    """Return evenly spaced points (n,), x + i y, m, on a polygon with rounded corners, from the
-    x axis."""
+    """Return evenly spaced points (n,), x + i y, m, on a polygon with rounded corners, from the x
+    axis."""
     p = np.array([complex(*corner) for corner in corners])
     edges = np.roll(p, -1) - p
     if len(p) < 3 or (np.imag(np.conj(p) * np.roll(p, -1)) <= 0).any():

@@ -205,8 +205,8 @@ def _touch_values(touch: Touch) -> list[float]:
 
 
 def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
-    """Return the current phase of the grasp and its memory (durations, s), from contact and
-    height only."""
+    """Return the current phase of the grasp and its memory (durations, s), from contact and height
+    only."""
     last = observation.command
     gripper = observation.gripper
     before = last.phase if last.phase in (*PHASES, "done", "abort") else PHASES[0]

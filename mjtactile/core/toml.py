@@ -26,12 +26,12 @@ DEEPEST = 32  # maximum names in a dotted key; time and memory of tomllib grow w
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The table in a TOML file. Raises InputError where it cannot be read or is not TOML."""
+    """Return the table of a TOML file. Raises InputError if it cannot be read or is not TOML."""
     return _parse(path, "TOML", _toml)
 
 
 def read_toml_with_text(path: Path) -> tuple[dict[str, Any], str]:
-    """`read_toml`, and the file's text."""
+    """Return the table of a TOML file and its text; see `read_toml`."""
     return _parse(path, "TOML", lambda text: (_toml(text), text))
 
 
@@ -77,12 +77,12 @@ def _toml(text: str) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> Any:
-    """The value in a JSON file. Raises InputError where it cannot be read or is not JSON."""
+    """Return the value of a JSON file. Raises InputError if it cannot be read or is not JSON."""
     return _parse(path, "JSON", json.loads)
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The table in TOML text. Raises InputError that names `source` where it is not TOML."""
+    """Return the table of a TOML text. Raises InputError that names `source` if it is not TOML."""
     try:
         return _toml(text)
     except (ValueError, RecursionError) as error:
@@ -128,7 +128,7 @@ class Section:
         return Path(self._source).parent
 
     def fail(self, key: str, message: str, choices: Iterable[object] | None = None) -> InputError:
-        """The error to raise for field `key`."""
+        """Return the error to raise for field `key`."""
         return InputError(
             message, source=self._source, field=self._field_path(key), choices=choices
         )
@@ -231,7 +231,7 @@ class Section:
         *,
         empty: bool = False,
     ) -> Any:
-        """Text, one of `choices` where they are given; not empty, unless it may be `empty`."""
+        """Return a text, one of `choices` if given. An empty text is an error without `empty`."""
         value = self._get(key, default)
         if value is None:
             return default
@@ -258,7 +258,7 @@ class Section:
         return type(self._table[key]) if key in self._table else None
 
     def flag(self, key: str, default: Any = ...) -> Any:
-        """True or false."""
+        """Return true or false."""
         value = self._get(key, default)
         if value is None:
             return default
@@ -267,7 +267,7 @@ class Section:
         return value
 
     def texts(self, key: str, default: Any = ...) -> Any:
-        """A list of texts, as a tuple."""
+        """Return a list of texts as a tuple."""
         value = self._get(key, default)
         if value is None:
             return default
@@ -276,21 +276,21 @@ class Section:
         return tuple(value)
 
     def table(self, key: str) -> Mapping[str, Any]:
-        """The table `[key]` with whatever is in it."""
+        """Return the table `[key]` with unchecked content."""
         value = self._get(key, ...)
         if not isinstance(value, Mapping):
             raise self.fail(key, "is not a table")
         return value
 
     def section(self, key: str) -> Section:
-        """The table `[key]`."""
+        """Return the table `[key]`."""
         if (found := self.optional(key)) is None:
             message = f"missing section{self._similar_unread(key)}"
             raise InputError(message, source=self._source, field=f"[{self._field_path(key)}]")
         return found
 
     def optional(self, key: str) -> Section | None:
-        """The table `[key]`, or None."""
+        """Return the table `[key]`, or None."""
         value = self._get(key, None)
         if value is None:
             return None
@@ -299,7 +299,7 @@ class Section:
         return Section(value, self._field_path(key), self._source)
 
     def sections(self, key: str, low: int = 1, high: int = 2) -> list[Section]:
-        """The tables `[[key]]`, `low` to `high` of them."""
+        """Return the `low` to `high` tables `[[key]]`."""
         value = self._get(key, None if low == 0 else ...)
         value = [] if value is None else value
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
@@ -333,7 +333,7 @@ class Section:
         return f"{self._label}.{key}" if self._label else key
 
     def _get(self, key: str, default: Any) -> Any:
-        """The value, None where it is missing and has a default."""
+        """Return the value; None if it is missing and has a default."""
         self._known.append(key)
         value = self._table.get(key)
         if value is None and default is ...:
@@ -365,5 +365,5 @@ class Section:
 
 
 def _stem(key: str) -> str:
-    """A key without its unit."""
+    """Return a key without its unit."""
     return key.rsplit("_", 1)[0]

@@ -297,8 +297,8 @@ class SimFinger(NotCopyable):
             self._lock.release()
 
     def before_step(self) -> None:
-        """Bring the gas up to the present state; for those who call `mj_step` themselves, right
-        before it.
+        """Advance the gas to the current state. Callers that use `mj_step` directly must call this
+        right before it.
 
         Raises InputError when the scene was stepped or reset without this finger.
         """
@@ -312,7 +312,7 @@ class SimFinger(NotCopyable):
         Callers that use `mj_step` directly must call this right after it.
 
         Raises:
-            SimulationError: The state is invalid: it diverged, or an object went through the
+            SimulationError: The state is invalid: it diverged, or an object passed through the
                 membrane.
         """
         self._time = float(self._data.time)
@@ -347,7 +347,7 @@ class SimFinger(NotCopyable):
             self._data.sensordata[address] = value
 
     def _require_time(self, slack: float = 0.0) -> None:
-        """Raise InputError unless this finger has gone with the scene, up to `slack` s."""
+        """Raise InputError if this finger is more than `slack`, s, behind the scene."""
         now = float(self._data.time)
         if not now >= self._time:  # also NaN
             raise InputError(

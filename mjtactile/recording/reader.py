@@ -41,7 +41,8 @@ class RecordedReference:
     gauge_pressure: Sequence[float | None]
 
     def images(self, finger: int) -> Iterator[Image]:
-        """The images of one finger. Raises InputError naming a file that is missing or broken."""
+        """Yield the images of one finger. Raises InputError that names a missing or damaged
+        file."""
         for name, time in zip(self.names[finger], self.times[finger], strict=True):
             yield read_image(self.folder / name, time)
 
@@ -199,7 +200,7 @@ class Recording:
             raise InputError(text, source=self.folder, field="cycle")
 
     def require_images(self) -> None:
-        """See that every cycle has its images.
+        """Check that every cycle has its images.
 
         Raises:
             InputError: Some have none.
@@ -331,7 +332,7 @@ def _differs(reference: RecordedReference, width: int) -> bool:
 def _contradictions(
     notes: dict[str, Any], references: Sequence[RecordedReference], width: int
 ) -> list[str]:
-    """Return notes and references of another number of fingers than the cycles; take them out."""
+    """Remove and return notes and references of another number of fingers than the cycles."""
     if not width:
         return []
     found = [

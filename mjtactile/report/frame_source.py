@@ -32,7 +32,7 @@ class NamedImage:
     pixels: NDArray | None
 
     def grey(self) -> NDArray | None:
-        """The grey channel (H, W), uint8; None when it cannot be read."""
+        """Return the gray channel (H, W), uint8; None if the file cannot be read."""
         if self.pixels is None:
             return None
         grey = grey_image(self.pixels)
@@ -83,7 +83,7 @@ def _read_video(path: Path) -> Iterator[NamedImage]:
 
 
 def to_image(frame: NamedImage, design: SensorDesign) -> Image | str:
-    """The frame as the sensor's camera would give it, or why it cannot be used."""
+    """Return the frame as an image of the sensor's camera, or the reason why it is unusable."""
     pixels = frame.grey()
     if pixels is None:
         return "cannot be read"

@@ -21,7 +21,7 @@ code{background:#f3f3f3;padding:.1em .3em;user-select:all;font-size:13px}img{max
 
 
 def document(title: str, body: Iterable[str], *, style: str = "") -> str:
-    """The page; `body` and `style` are HTML and CSS, `title` is text."""
+    """Return an HTML page. `body` and `style` are HTML and CSS, `title` is text."""
     return (
         '<!doctype html><html lang="en"><head><meta '
         f'charset="utf-8"><title>{escape(title)}</title>'
@@ -68,5 +68,5 @@ def script_data(value: Any) -> str:
 
 
 def data_uri(kind: str, content: bytes) -> str:
-    """`content` as an address of the MIME type `kind`."""
+    """Encode `content` as a data URI of the MIME type `kind`."""
     return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

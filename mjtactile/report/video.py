@@ -1,8 +1,8 @@
 """Video of a run: the scene (if available), camera images with ellipses, and forces over time.
 
 It also shows the estimated contact shape of each finger, if recorded. The video follows the run's
-clock, whatever the cameras' rate. It is made from a recording, so it does not delay the run. Scenes
-kept from a simulation are rendered without OpenGL (`software_renderer`).
+clock, independent of the cameras' rate. It is made from a recording, so it does not delay the run.
+Scenes kept from a simulation are rendered without OpenGL (`software_renderer`).
 """
 
 from __future__ import annotations
@@ -313,7 +313,7 @@ class _Curve:
         self._image[:] = cv2.addWeighted(over, 0.2, self._image, 0.8, 0)
 
     def _line(self, time: Array, force: Array, colour: tuple[int, ...], width: int) -> None:
-        """Draw a line with gaps at unknown forces."""
+        """Plot a line with gaps at unknown forces."""
         points = np.round(np.stack([self._x(time), self._y(np.nan_to_num(force))], axis=1)).astype(
             np.int32
         )

@@ -217,7 +217,7 @@ class EmulatorConfig:
 
     @classmethod
     def from_section(cls, section: Section) -> EmulatorConfig:
-        """`[emulator]` with its `[emulator.as_built.left]` and so on."""
+        """Read `[emulator]` with its sections `[emulator.as_built.FINGER]`."""
         values = read_fields(cls, section)
         return cls(**values, as_built=_as_built(section.optional("as_built")))
 
@@ -227,7 +227,7 @@ class EmulatorConfig:
 
 
 def _as_built(section: Section | None) -> tuple[AsBuiltSensor, ...]:
-    """Those of the fingers that have one."""
+    """Return the as-built sensors of the fingers that have one."""
     if section is None:
         return ()
     found = [(finger, section.optional(finger)) for finger in FINGERS]
@@ -322,7 +322,8 @@ def load_rig_file(name_or_path: str | Path) -> RigFile:
 
 
 def load_sim_rig(name_or_path: str | Path) -> SimRigFile:
-    """Like `read_rig_file`, for the simulator. Raises InputError for a rig of devices."""
+    """Read a rig file of the simulator. Raises InputError for a rig of devices, and as
+    `read_rig_file`."""
     rig = read_rig_file(name_or_path)
     if isinstance(rig, RigFile):
         raise InputError("is not simulated: the section is missing", source=rig.path, field="[sim]")
@@ -330,7 +331,7 @@ def load_sim_rig(name_or_path: str | Path) -> SimRigFile:
 
 
 def rig_from_table(table: Mapping[str, Any], path: Path) -> RigFile:
-    """Validate a parsed TOML table of devices; `path` is the file that it stood in. Raises
-    InputError; see `read_rig_file`."""
+    """Validate a parsed TOML table of devices; `path` is its file. Raises InputError; see
+    `read_rig_file`."""
     root = Section(table, "", str(path))
     return read(RigFile, root, name=root.text("name", default=path.stem), path=path)

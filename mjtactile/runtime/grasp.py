@@ -1,5 +1,5 @@
-"""The main job: references, grasp, score. It joins the control loop, which knows no truth, to
-scoring, which does."""
+"""The main job: references, grasp, score. It joins the control loop, which has no ground truth, to
+scoring, which uses it."""
 
 from __future__ import annotations
 

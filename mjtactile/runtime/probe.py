@@ -61,7 +61,8 @@ class ProbeResult:
     """Reasons for reduced simulation accuracy, by kind of model error."""
 
     def summary(self) -> dict[str, Any]:
-        """The JSON object of `mjtactile probe --json`; unknown is NaN here and null there."""
+        """Return the JSON object of `mjtactile probe --json`. Unknown values are NaN, null in
+        JSON."""
         m = self.material
         return {
             **self.names,

@@ -98,7 +98,7 @@ class SlownessMonitor(Observer):
 
 
 def _cause(part: str, load: Workload, contact_shapes: bool) -> str:
-    """Return the cause of a slow part, and what is quicker."""
+    """Return the cause of a slow part, and a faster alternative."""
     if part == "rendering":
         return "camera images; quicker: --effects=-images"
     if part == "controller":

@@ -454,7 +454,7 @@ class SensingPipeline:
 
 @cache
 def _warn_of_insensitivity(sensor: str, force: float) -> None:
-    """Log once a process that a sensor is too stiff for its camera; `force` is in N."""
+    """Log once per process that a sensor is too stiff for its camera. `force` is in N."""
     _logger.warning(
         "the sensor %r detects contacts only from %.2f N on: its membrane is too stiff for its "
         "camera; use a softer or thinner membrane, or a camera that is closer",

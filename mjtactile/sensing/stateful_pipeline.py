@@ -155,7 +155,8 @@ class StatefulPipeline:
         return self.pipeline.estimate_contact_shape(self.state, history, self._finder_now())
 
     def _finder_now(self) -> ContactShapeEstimator:
-        """Made when it is first asked for, and again for another rest or another amount of gas."""
+        """Return the shape estimator. It is created at its first use, and again for another rest
+        reference or gas amount."""
         reference = self.state.required(self.pipeline.design.name, "a shape")
         gauge_pressure = None
         if self._finder is not None and self._finder[0][0] == reference.first:

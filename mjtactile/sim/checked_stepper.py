@@ -93,7 +93,7 @@ class Stepper:
 
     @property
     def steps_to_check(self) -> int:
-        """Return the number of steps until the next check."""
+        """Number of steps until the next check."""
         return self._check_every - self.step_count % self._check_every
 
     def after_step(self, count: int = 1, unsolved: int | None = None) -> None:

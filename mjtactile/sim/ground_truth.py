@@ -271,7 +271,7 @@ def support_force(world: World, bodies: NDArray[np.int64]) -> float:
 
 
 def object_position(world: World, bodies: NDArray[np.int64] | None = None) -> Array:
-    """Centre of mass (3,) m of the grasped object with its soft parts, frame W."""
+    """Return the center of mass (3,), m, of the grasped object with its soft parts, frame W."""
     parts = object_bodies(world) if bodies is None else bodies
     mass = world.model.body_mass[parts]
     return mass @ world.data.xipos[parts] / mass.sum()

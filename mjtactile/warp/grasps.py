@@ -218,12 +218,12 @@ class Grasps:
 
     @property
     def episode_seeds(self) -> Array:
-        """Return the seed (worlds,) of each world's episode. Waits for the device."""
+        """Seed (worlds,) of each world's episode. Waits for the device."""
         return self.seeds[self._starts.row.numpy()]
 
     @property
     def object_seeds(self) -> Array:
-        """Return the seed (worlds,) of each world's random object, or -1. Waits for the device."""
+        """Seed (worlds,) of each world's random object, or -1. Waits for the device."""
         seeds = np.array([item.seed for item in self.mix])
         return seeds[self._kinds[self._starts.row.numpy()]]
 

@@ -226,7 +226,7 @@ def _simulated(recording: Recording) -> str:
 
 
 def _cost(value: float | None) -> str:
-    """A cost that was measured below zero is one below the measurement's noise."""
+    """Format a cost. A measured cost below zero is within the noise."""
     return "about 0" if value is not None and value <= 0 else _number(value)
 
 

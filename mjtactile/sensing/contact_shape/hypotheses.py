@@ -129,7 +129,7 @@ class PressHistory:
         return fraction / fraction.sum()
 
     def kinds(self, names: tuple[str, ...]) -> dict[str, float]:
-        """Probabilities of the kinds `names`."""
+        """Return the probabilities of the kinds `names`."""
         sums = dict.fromkeys(names, 0.0)
         for probability, fit in self.bodies():
             for kind, fraction in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
@@ -163,7 +163,7 @@ def weigh(
     s: ContactShapeSettings,
     past: PressHistory | None = None,
 ) -> PressHistory | None:
-    """Weight the fits of an image by evidence; dropped models are kept together with those in
+    """Weigh the fits of an image by evidence. Dropped models are kept together with those in
     `past`. The residual of the best fit, an error of membrane model and simulator, is treated as
     noise of all models. So no model wins by a chi-square of hundreds over another equally wrong
     one."""

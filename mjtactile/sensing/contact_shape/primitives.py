@@ -61,7 +61,7 @@ def feasible_half_extents(frame: Frame, edge: float) -> Array:
 
 
 def about(axis: int, angle: float) -> Array:
-    """Rotation (3, 3) by `angle` rad about an axis."""
+    """Return the rotation (3, 3) by `angle`, rad, about an axis."""
     c = math.cos(angle)
     s = math.sin(angle)
     R = np.eye(3)
@@ -80,7 +80,8 @@ def place_of(theta: Array, hint: InitialGuess) -> Array:
 
 
 def principal(theta: Array) -> tuple[float, float, float]:
-    """Curvatures (1/m), the larger first, and the direction (rad from x) of the smaller."""
+    """Return both curvatures, 1/m, the larger first, and the direction of the smaller, rad from
+    x."""
     kxx, kxy, kyy = theta[3:6]
     mean = (kxx + kyy) / 2
     half = math.hypot((kxx - kyy) / 2, kxy)
@@ -95,8 +96,8 @@ def _raised_position(theta: Array, hint: InitialGuess, up: float) -> tuple[float
 
 
 def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    """An ellipsoid whose lowest point and curvatures are given: a ball, a lying cylinder, a plane
-    are exact."""
+    """Create an ellipsoid with this lowest point and curvatures. It is exact for a ball, a lying
+    cylinder and a plane."""
     maximum, minimum, direction = principal(theta)
     tall = 1 / max(maximum, _FLAT)
     sizes = (math.sqrt(tall / max(minimum, _FLAT)), math.sqrt(tall / max(maximum, _FLAT)), tall)
@@ -125,7 +126,7 @@ def ball(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
 
 
 def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    """Lying, as long as the sensor is; its ends are before the frame."""
+    """Create a lying cylinder that ends at the frame."""
     radius = 1 / max(theta[3], _FLAT)
     R = about(2, theta[4]) @ about(1, theta[5])
     position = place_of(theta, hint)
@@ -227,7 +228,8 @@ def _distance_to_edge(frame: Array, position: Array, along: Array) -> tuple[floa
 
 
 def _directions_in_ellipse(half: Array, position: Array, along: Array) -> tuple[float, float]:
-    """The same before an ellipse of half axes `half` (2,)."""
+    """Return the backward and forward distances, m, along a line through `position` to an ellipse
+    with half-axes `half` (2,)."""
     at = position[:2] / half
     step = along[:2] / half
     a = float(step @ step)

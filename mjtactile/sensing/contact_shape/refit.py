@@ -201,8 +201,8 @@ def _with_part(
 
 
 def _matched(old: InitialGuess, new: InitialGuess) -> InitialGuess:
-    """`new` with its parts in the order of those of `old`, which stay where there are not as
-    many."""
+    """Return `new` with its parts in the order of `old`, or with the parts of `old` if their
+    counts differ."""
     if not old.parts:
         return replace(new, parts=())
     if len(new.parts) != len(old.parts):

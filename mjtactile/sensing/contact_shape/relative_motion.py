@@ -105,8 +105,8 @@ def tracked(
 
 
 def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
-    """Compute the motion rates of a shape relative to the rubber; None: too few images. `slips`
-    tells if the contact is classified as slipping: the shape alone does not separate rolling from
+    """Compute the motion rates of a shape relative to the rubber; None: too few images. `slips` is
+    True if the contact is classified as slipping: the shape alone does not separate rolling from
     sliding for a round object."""
     if len(track) < _IMAGES_MIN:
         return None

@@ -79,7 +79,8 @@ class ShapeModel:
         return _named, (self.name,)
 
     def build_each(self, thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
-        """The same as `build` of each of `thetas` (m, k), at once where that is faster."""
+        """Build the obstacles for each of `thetas` (m, k), at once if that is faster. See
+        `build`."""
         at_once = {"disc": discs, "block": blocks}.get(self.name)
         if at_once is not None:
             return at_once(thetas, hint)
@@ -100,7 +101,7 @@ class ShapeModel:
         return next((k for k, name in enumerate(self.names) if name in names), None)
 
     def split(self, parameters: Array) -> list[Array]:
-        """`parameters` (k, ...) of each of the parts."""
+        """Split `parameters` (k, ...) into those of each part."""
         return np.split(parameters, np.cumsum([len(part.names) for part in self.parts])[:-1])
 
     def rebased(self, theta: Array, old: InitialGuess, new: InitialGuess) -> Array:

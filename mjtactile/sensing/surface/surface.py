@@ -64,21 +64,21 @@ class Spline:
     status: Status
 
     def evaluate(self, x: ArrayLike, y: ArrayLike, dx: int = 0, dy: int = 0) -> Array:
-        """z or its derivative of order (dx, dy) at points `x`, `y` (N,) m."""
+        """Evaluate z, m, or its derivative of order (dx, dy), at points `x`, `y` (N,), m."""
         across = self.fitter.basis_x.at(x, dx)
         down = self.fitter.basis_y.at(y, dy)
         return ((down @ self.coefficients) * across).sum(axis=1)
 
     def normals(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Unit normals (N, 3) towards the camera at points `x`, `y` (N,) m."""
+        """Return the unit normals (N, 3) towards the camera at points `x`, `y` (N,), m."""
         return geometry.normal_from_slope(self.evaluate(x, y, 1, 0), self.evaluate(x, y, 0, 1))
 
     def grid(self, dx: int = 0, dy: int = 0) -> Array:
-        """z or its derivative of order (dx, dy) on the fitter's grid, (ny, nx)."""
+        """Return z, m, or its derivative of order (dx, dy), on the fitter's grid (ny, nx)."""
         return self.fitter.grid_y[dy] @ self.coefficients @ self.fitter.grid_x[dx].T
 
     def height_sd(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Standard deviation (N,) m of z at points `x`, `y` (N,) m."""
+        """Return the standard deviation (N,), m, of z at points `x`, `y` (N,), m."""
         from scipy.linalg import solve_banded  # takes a while to import
 
         rows = self.fitter.rows(x, y)
@@ -87,8 +87,8 @@ class Spline:
         return np.sqrt(self.misfit * (half**2).sum(axis=0))
 
     def surface(self) -> Surface:
-        """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to
-        first order."""
+        """Compute heights on the grid, area and volume by Gauss quadrature, and their uncertainties
+        to first order."""
         f = self.fitter
         ny, nx = self.coefficients.shape
         z = np.empty((len(f.y), len(f.x)))
@@ -162,7 +162,8 @@ class SurfaceFitter:
         )
 
     def _prior(self, frame: Frame, inside: Array | None) -> Array:
-        """The third and fourth term of the module's docstring, as a matrix of the coefficients."""
+        """Return the third and fourth term of the module's docstring as a matrix of the
+        coefficients."""
         settings = self.settings
         rough = self._energy(inside, ((3, 0), (1, 2)), ((2, 1), (0, 3)))
         bent = self._energy(inside, *_BENT)
@@ -170,7 +171,7 @@ class SurfaceFitter:
         return rough + bent / (settings.laplacian**2 * frame.area)
 
     def fit(self, markers: Markers, *, normals: bool = True) -> Surface:
-        """The surface through identified markers; see `fit_spline`."""
+        """Fit the surface to identified markers. See `fit_spline`."""
         n_S = markers.n_S if normals else None
         return self.fit_spline(markers.p_SM, markers.cov_p, n_S).surface()
 
@@ -245,7 +246,7 @@ class SurfaceFitter:
 
 
 def _derivatives(basis: Cubic) -> list[Array]:
-    """The splines and their first three derivatives at their Gauss points."""
+    """Return the splines and their first three derivatives at their Gauss points."""
     return [basis.at(basis.points, d) for d in range(4)]
 
 
@@ -275,6 +276,6 @@ def check_markers(markers: int, minimum: int) -> Status:
 
 
 def _products(down: Array, across: Array) -> Array:
-    """Row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
+    """Return the row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
     products = down[:, :, None] * across[:, None, :]
     return products.reshape(len(down), down.shape[1] * across.shape[1])

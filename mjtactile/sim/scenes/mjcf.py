@@ -90,7 +90,7 @@ def changed_options(spec: mujoco.MjSpec) -> list[str]:
 
 
 def take_options(part: mujoco.MjSpec, scene: mujoco.MjSpec) -> None:
-    """Give `part`, before it is attached to `scene`, the scene's options.
+    """Set the scene's options in `part`, before it is attached to `scene`.
 
     They apply anyway; MuJoCo warns about every difference.
     """

@@ -230,7 +230,7 @@ def _solids(spec: mujoco.MjSpec) -> list[mujoco.MjsFlex]:
 
 
 def _flex_material(spec: mujoco.MjSpec, path: Path) -> FlexMaterial | None:
-    """The volumetric flex that the object consists of; None for a rigid or lumped object."""
+    """Return the material of the object's volumetric flex; None for a rigid or lumped object."""
     solids = _solids(spec)
     if not solids:
         return None
@@ -252,7 +252,7 @@ def _flex_material(spec: mujoco.MjSpec, path: Path) -> FlexMaterial | None:
 
 
 def _check_numerics(spec: mujoco.MjSpec, path: Path) -> None:
-    """Refuse old and misspelled names of numerics; the file may have others of its own."""
+    """Refuse old and misspelled names of numerics; other names are allowed."""
     for name in (numeric.name for numeric in spec.numerics):
         if name in NUMERICS:
             continue

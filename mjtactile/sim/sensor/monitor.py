@@ -86,7 +86,7 @@ class SceneMonitor:
 
     @property
     def speeds(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the degrees of freedom (n,) outside the sensors and their speed limits (n,)."""
+        """Degrees of freedom (n,) outside the sensors, with speed limits (n,)."""
         return self._movers, self._max_speeds
 
     @property
@@ -100,7 +100,7 @@ class SceneMonitor:
         return len(np.unique(np.concatenate(near))), points
 
     def initial_flags(self) -> Reasons:
-        """Flags of the scene as it was built."""
+        """Return the flags of the scene as built."""
         flags: Reasons = {}
         for sensor in self._sensors:
             flags |= validity_checks.design_flags(sensor.design, sensor.mesh.nx, sensor.mesh.ny)
@@ -184,7 +184,7 @@ class SceneMonitor:
         ]
 
     def tunneled_geom(self, every: bool = True) -> str | None:
-        """Return a message for the first geom that went through a mesh, or None.
+        """Return a message for the first geom that passed through a mesh, or None.
 
         Without `every`, only geoms thin enough to pass within one step are checked.
         """
@@ -205,7 +205,8 @@ class SceneMonitor:
         return None
 
     def _geoms_over(self, sensor: AnySensor, geoms: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of `geoms` whose balls reach into the sensor's opening, or behind it."""
+        """Return the `geoms` whose bounding spheres reach into the sensor's opening, or behind
+        it."""
         if not len(geoms):
             return geoms
         data = self._data
