@@ -31,7 +31,7 @@ TARGETS = {"class_right": (0.93, 0.98), "modulus_within_2": (0.85, 0.95)}
 
 
 def random_material_sample(seed: int) -> MaterialSample:
-    """The body of a seed; four seeds in a row are one of each kind."""
+    """Sample the object of a seed; four consecutive seeds are one of each kind."""
     rng = np.random.default_rng(seed)
 
     def spread(low: float, high: float) -> float:
@@ -81,7 +81,7 @@ def random_material_sample(seed: int) -> MaterialSample:
 def run(
     out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, Any]:
-    """Probe the objects; return one row each.
+    """Probe the objects, and return one row for each.
 
     Results so far are stored in `out`/material.json.
     """
@@ -109,7 +109,10 @@ def _row(seed: int, folder: Path) -> dict[str, Any]:
 
 
 def _compare(sample: MaterialSample, result: ProbeResult) -> dict[str, Any]:
-    """The verdict and the truth in one row; stiffness and modulus at the force of the hold."""
+    """Return the result and the ground truth in one row.
+
+    Stiffness and modulus are those at the force of the hold.
+    """
     found = result.summary()
     row = {
         key: found[key]
@@ -148,7 +151,7 @@ def _line(row: Mapping[str, Any]) -> str:
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Shares and medians over the rows."""
+    """Compute fractions and medians over the rows."""
     right = [row["material"] == row["material_true"] for row in rows]
     soft = [row for row in rows if row["material_true"] == "soft"]
     ratios = [
@@ -191,7 +194,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The result as Markdown."""
+    """Format the result as a Markdown table."""
     rows = [
         ("objects (not used for tuning)", result["bodies"], "", ""),
         ("correct material class", f"{100 * result['class_right']:.0f} %", "93 %", "98 %"),
@@ -222,7 +225,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _plot(out: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """`material.png`: estimated against true modulus."""
+    """Plot estimated against true modulus in `material.png`."""
     if (figure := new_figure("material.png", (5.6, 4.6))) is None:
         return
     axes = figure.add_subplot()

@@ -125,8 +125,10 @@ def pressed(frames: int, repeats: int) -> dict[str, Any]:
 
 
 def _pipeline_ms(design: SensorDesign, images: list[Image], repeats: int) -> list[float]:
-    """Processor time of each run from image to surface, ms, in turn through `images` as in a
-    recording."""
+    """Measure the processor time of each run from image to surface, ms.
+
+    The runs take the images in turn, as in a recording.
+    """
     sensing_pipeline = SensingPipeline(design)
     markers, state = sensing_pipeline.detect_markers(sensing_pipeline.initial_state(), images[0])
     sensing_pipeline.fitter.fit(markers)

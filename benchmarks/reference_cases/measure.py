@@ -110,7 +110,7 @@ def _press(case: Case) -> list[Number]:
 
 
 def _shear(case: Case, world: PressWorld) -> list[Number]:
-    """Shear at `depth_mm` after the drag: how far its vector is from the reference's."""
+    """Compare the shear vector at `depth_mm` after the drag with the reference."""
     plan = case.plan
     depth, drag = (1e-3 * float(plan[key]) for key in ("depth_mm", "drag_mm"))
     world.press(depth)
@@ -157,7 +157,7 @@ def _bulge(case: Case) -> list[Number]:
 
 
 def _hold(case: Case) -> list[Number]:
-    """Speed at which a held object sinks, from a line through where it was, um/s."""
+    """Measure the speed at which a held object sinks, um/s, by a line fit to its heights."""
     plan = case.plan
     numbers = []
     for step in plan["timestep_ms"]:
@@ -223,7 +223,7 @@ def _held_shear(case: Case) -> list[Number]:
 
 
 def _slide(case: Case) -> list[Number]:
-    """Friction along the way that an indenter slides, over mu N, both ways."""
+    """Measure the friction of a sliding indenter over mu N, in both directions."""
     return [
         Number(
             "friction along the slide / (mu N)",
@@ -253,7 +253,7 @@ def _slid(case: Case, step: float, sign: float) -> float:
 
 
 def _spin(case: Case) -> list[Number]:
-    """Angular momentum of an inflated sensor that turns freely, after and before."""
+    """Compare the angular momentum of an inflated, freely rotating sensor after and before."""
     plan = case.plan
     numbers = []
     axis = np.array(plan["axis"]) / np.linalg.norm(plan["axis"])

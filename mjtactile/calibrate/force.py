@@ -29,8 +29,7 @@ GRAVITY = 9.80665  # standard gravity, m/s^2
 
 @dataclass(frozen=True)
 class AreaCalibration:
-    """The paper's calibration: `constant` c, N/m^2, of dF = c dA, and the rms `residual`, N, that
-    it left."""
+    """The paper's calibration: `constant` c, N/m^2, of dF = c dA, and its rms `residual`, N."""
 
     constant: float
     residual: float
@@ -51,7 +50,7 @@ class AreaCalibration:
         return cls(constant, float(np.sqrt(np.mean((F - constant * dA) ** 2))))
 
     def force(self, area_change: float) -> float:
-        """Normal force, N, from the change of membrane area, m^2 (paper Eq. 11)."""
+        """Compute the normal force, N, from the change of membrane area, m^2 (paper Eq. 11)."""
         return self.constant * area_change
 
 

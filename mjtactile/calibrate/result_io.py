@@ -23,13 +23,12 @@ _LARGEST = 1 << 25  # maximum size of a table, bytes
 
 
 def stamp_of(design: SensorDesign, residuals: Mapping[str, Any]) -> CalibrationMetadata:
-    """The stamp of a calibration's part that was measured now."""
+    """Return the metadata of a calibration part that was measured now."""
     return calibration_parts.stamp(design, versions(), to_json(residuals))
 
 
 def stamp(kind: str, reasons: Sequence[str]) -> dict[str, Any]:
-    """`calibration` (its kind), `verdict` "good" or "refused", `reasons` of a refusal, `date`,
-    `versions`."""
+    """Return kind, verdict ("good" or "refused"), reasons of a refusal, date and versions."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     return {
         "calibration": kind,
@@ -110,7 +109,11 @@ def _numbers(path: Path, name: str, rows: Sequence[Mapping[str, str | None]]) ->
 
 
 def fit_line(x: Array, y: Array) -> tuple[Array, Array, float]:
-    """Fit y = a + b x by least squares: (a, b), their standard deviations, and the rms residual."""
+    """Fit y = a + b x by least squares.
+
+    Returns:
+        (a, b), their standard deviations, and the rms residual.
+    """
     A = np.column_stack([np.ones_like(x), x])
     inverse = np.linalg.inv(A.T @ A)
     coefficients = inverse @ A.T @ y

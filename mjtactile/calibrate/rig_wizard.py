@@ -257,7 +257,7 @@ def _mean_image(config: CameraConfig) -> Array:
 
 
 def _limits(path: Path, ask: Ask, notify: Notify) -> None:
-    """Each is written as soon as it is good."""
+    """Ask for each limit, and write it as soon as it is valid."""
     for section, key, text in _LIMITS:
         while True:
             now = tomllib.loads(path.read_text(encoding="utf-8"))[section][key]

@@ -65,7 +65,7 @@ def add(parser: Any, arguments: Iterable[Addable]) -> None:
 
 
 def positional(name: str, metavar: str, help: str, **settings: Any) -> Argument:
-    """A value without a name; `nargs="?"` where it may be left out."""
+    """Return an argument without a name; with `nargs="?"` it is optional."""
     return Argument((name,), {"metavar": metavar, "help": help} | settings)
 
 
@@ -98,23 +98,23 @@ def _split(usage: str) -> tuple[tuple[str, ...], Any]:
 def choice(
     name: str, choices: Collection[str], help: str, default: Any = None, **settings: Any
 ) -> Argument:
-    """`--name {a,b}`: one of few words."""
+    """Return the option `--name {a,b}` with one of few words."""
     named = {"choices": choices, "help": _with_default(help, default), "default": default}
     return Argument((name,), named | settings)
 
 
 def flag(name: str, help: str, **settings: Any) -> Argument:
-    """`--name`, which is given or not."""
+    """Return the switch `--name`."""
     return Argument((name,), {"action": "store_true", "help": help} | settings)
 
 
 def sensor(help: str = "the sensor", default: str | None = "dense", **settings: Any) -> Argument:
-    """`--sensor`, a shipped name or a file."""
+    """Return the option `--sensor`, a shipped name or a file."""
     return option("--sensor NAME|FILE.toml", help, default, **settings)
 
 
 def out(help: str, metavar: str = "DIR", **settings: Any) -> Argument:
-    """`--out`, where results go."""
+    """Return the option `--out`, the destination of results."""
     return option(f"--out {metavar}", help, type=Path, **settings)
 
 

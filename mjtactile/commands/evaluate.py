@@ -1,4 +1,4 @@
-"""`mjtactile evaluate`: many grasps, and how often they hold."""
+"""`mjtactile evaluate`: many grasps, and their success rate."""
 
 from __future__ import annotations
 

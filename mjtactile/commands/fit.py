@@ -1,4 +1,4 @@
-"""`mjtactile fit`: the simulator fitted to recordings of a sensor."""
+"""`mjtactile fit`: fit the simulator to recordings of a sensor."""
 
 from __future__ import annotations
 

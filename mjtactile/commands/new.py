@@ -157,7 +157,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def _shipped(kind: Kind, template: str) -> Path:
-    """The shipped file of that name; a user's own file can be copied by other means."""
+    """Return the shipped file of that name. Raises InputError for any other file."""
     if template not in resources.names(kind.folder, kind.suffix):
         raise InputError(
             f"{template!r} is not a shipped file",

@@ -31,13 +31,13 @@ _SWITCH_INTERVAL = 5e-4
 
 
 class MonotonicClock:
-    """The computer's monotonic clock; a change of the wall clock does not touch it."""
+    """The computer's monotonic clock; a change of the wall clock has no effect."""
 
     def now(self) -> float:
         return scaled_clock.monotonic()
 
     def advance_towards(self, time: float) -> None:
-        """The real world moves by itself."""
+        """Do nothing: real time passes by itself."""
 
     def wait_until(self, time: float) -> None:
         _sleep_until(time)
@@ -155,7 +155,7 @@ def _limits(
 
 
 def build(request: RigRequest) -> Rig:
-    """The backend "devices" of `mjtactile.rig.registry`."""
+    """Build the rig of the backend "devices" of `mjtactile.rig.registry`."""
     file = require_file(request)
     return build_device_rig(file, request.design, name=file.name)
 

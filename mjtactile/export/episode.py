@@ -111,7 +111,7 @@ class RecordedEpisode:
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """The columns that this recording has, but for its images' names."""
+        """Columns of this recording, except for its images' names."""
         return tuple(key for key in (*SENSED, *TRUE) if key in self.recording.columns)
 
     @property
@@ -160,7 +160,7 @@ class RecordedEpisode:
         )
 
     def _effective_camera(self, finger: str) -> dict[str, Any]:
-        """Return the camera without a glass that stands for the finger's camera behind it."""
+        """Return the camera without a glass that replaces the finger's camera behind it."""
         found = effective_camera(self.design_of(finger))
         return {**found.camera.intrinsics, "shift_m": found.shift, "residual_px": found.residual_px}
 
@@ -193,13 +193,13 @@ class RecordedEpisode:
 
     @property
     def references(self) -> dict[str, Path]:
-        """The images that the references were taken from, by name."""
+        """Images of the references, by name."""
         references = self.recording.references
         paths = [r.folder / name for r in references for names in r.names for name in names]
         return {path.name: path for path in paths if foreign_file.is_file(path)}
 
     def design_of(self, finger: str) -> SensorDesign:
-        """The design with the lens that was measured of this finger."""
+        """Return the design with the measured lens of this finger."""
         calibration = self.calibrations[finger]
         design = self._designs[finger]
         return design if calibration is None else calibration.used(design).design(design)
@@ -260,7 +260,7 @@ class RecordedEpisode:
         ]
 
     def cycles(self) -> Iterator[Perceived]:
-        """All cycles in order. Raises InputError naming an image file that is missing or broken."""
+        """Yield all cycles in order. Raises InputError for a missing or damaged image file."""
         columns = self.recording.columns
         folder = self.recording.folder
         for k, images in enumerate(self.recording.images()):
@@ -311,7 +311,7 @@ def find_episodes(
 def with_each(
     inputs: Iterable[T], job: Callable[[T], U], leave_out: Callable[[str], None]
 ) -> list[U]:
-    """Return the result of a job for each input that it can be done for.
+    """Return the result of a job for each input that does not fail.
 
     `leave_out` receives the reasons of the others. Raises the first of them if there is no result.
     """
@@ -372,7 +372,7 @@ def part_names(episode: RecordedEpisode, key: str) -> list[str]:
 
 
 def meanings() -> dict[str, dict[str, str]]:
-    """Unit and meaning of every column."""
+    """Return unit and meaning of every column."""
     return {
         key: {"unit": unit, "meaning": text}
         for key, (unit, text, *_) in (*SENSED.items(), *TRUE.items())

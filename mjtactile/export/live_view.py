@@ -152,7 +152,7 @@ class LiveView(Observer):
         return sink
 
     def _work(self, source: _Running, sink: Sink) -> None:
-        """The background thread."""
+        """Process the queue in the background thread."""
         entities = EntityStream(source)
         sent = -np.inf
         while (seen := self._queue.get()) is not None:
@@ -209,7 +209,7 @@ class _Running:
         return tuple(self._designs)
 
     def design_of(self, finger: str) -> SensorDesign:
-        """The design with the lens that was measured of this finger."""
+        """Return the design with the measured lens of this finger."""
         return self._designs[finger]
 
     @property

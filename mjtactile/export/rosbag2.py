@@ -116,7 +116,7 @@ def write(
 
 
 def typestore() -> Any:
-    """The types of ROS 2 Humble, which later ones read too, with our own."""
+    """Return the message types of ROS 2 Humble and our own; later versions also read them."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -314,7 +314,7 @@ def _qos(kind: str) -> Sequence[Any]:
 
 
 def _write_package(folder: Path) -> None:
-    """The source of the messages, to be built in a ROS workspace."""
+    """Write the source package of the messages, to be built in a ROS workspace."""
     (folder / "msg").mkdir(parents=True)
     for name, text in MESSAGES.items():
         (folder / "msg" / f"{name}.msg").write_text(text, encoding="utf-8")

@@ -62,7 +62,7 @@ RUBBER_SHEET = "rubber_sheet"
 
 
 def steps_of(layout: Layout) -> tuple[ManualStep, ...]:
-    """The steps of this sensor's assembly."""
+    """Return the assembly steps of this sensor."""
     fiducials = layout.design.fiducials
     if fiducials is None:
         return STEPS
@@ -207,7 +207,7 @@ def bill(layout: Layout, optics: Optics, loads: PressureLoads) -> str:
 def readme(
     layout: Layout, parts: Mapping[str, Part], checks: Mapping[str, str], source: str
 ) -> str:
-    """The text of `README.md`."""
+    """Return the text of `README.md`."""
     made = [part for part in parts.values() if part.make]
     sizes = {part.name: " x ".join(f"{s:.1f}" for s in part.size) for part in made}
     return _template("readme.md").format(

@@ -27,7 +27,7 @@ def require_libraries() -> None:
 
 
 def solid_of(part: Part, per_quarter: int = PER_QUARTER) -> Any:
-    """The part as a `manifold3d.Manifold`, mm."""
+    """Build the part as a `manifold3d.Manifold`, mm."""
     import manifold3d as m3
 
     solid = m3.Manifold.batch_boolean(
@@ -51,14 +51,14 @@ def _extrude(layer: Layer, per_quarter: int) -> Any:
     solid = m3.CrossSection(polygons, m3.FillRule.Positive).extrude(layer.high - layer.low)
 
     def to_its_heights(points: Array) -> Array:
-        """Exactly those, so that layers that touch are one solid."""
+        """Set the heights exactly, so that touching layers are one solid."""
         return np.column_stack([points[:, :2], np.where(points[:, 2] > 0, layer.high, layer.low)])
 
     return solid.warp_batch(to_its_heights)
 
 
 def triangles_of(solid: Any) -> Array:
-    """Corners (n, 3, 3) mm, counter-clockwise from outside."""
+    """Return the triangles' corners (n, 3, 3), mm, counter-clockwise from outside."""
     mesh = solid.to_mesh64()
     return np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts)]
 
@@ -73,7 +73,7 @@ def write_stl(triangles: Array, title: bytes = b"mm") -> bytes:
 
 
 def overlaps(solids: Mapping[str, Any]) -> list[tuple[str, str, float]]:
-    """Pairs of parts that intersect, and by how much, mm^3."""
+    """Return the pairs of parts that intersect, and their common volumes, mm^3."""
     found = []
     boxes = {name: np.reshape(solid.bounding_box(), (2, 3)) for name, solid in solids.items()}
     for (first, a), (other, b) in combinations(solids.items(), 2):

@@ -271,7 +271,7 @@ class _Problem:
         return self._known[key]
 
     def _shifted_pressures(self, x: Array) -> list[Array]:
-        """Pressures with the modes' parts."""
+        """Return the pressures with the modes' parts."""
         moved = np.concatenate(self.pressures(x)) + x[len(self.names) :] @ self._modes
         return np.split(moved, self._ends[:-1])
 

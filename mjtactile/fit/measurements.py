@@ -198,8 +198,10 @@ def calibration_of(recording: Recording, design: SensorDesign, finger: str) -> C
 def _detect(
     pipeline: SensingPipeline, state: PipelineState, images: Iterator[Image]
 ) -> Iterator[tuple[Image, Markers]]:
-    """The images that show enough markers, and these; each is expected where the last image had
-    it."""
+    """Yield the images with enough markers, and these markers.
+
+    The search starts at the positions in the previous image.
+    """
     for image in images:
         markers, after = pipeline.detect_markers(state, image)
         if pipeline.check_markers(markers) == "ok":
@@ -210,7 +212,7 @@ def _detect(
 def _follow(
     recording: Recording, finger_index: int, pipeline: SensingPipeline, state: PipelineState
 ) -> tuple[Array, list[Markers]]:
-    """Times after the first cycle, s, and markers of the cycles' images."""
+    """Return the times after the first cycle, s, and the markers of the cycles' images."""
     found = list(_detect(pipeline, state, (images[finger_index] for images in recording.images())))
     start = float(recording.columns["time"][0]) if len(recording) else 0.0
     return np.array([image.time - start for image, _ in found]), [markers for _, markers in found]
@@ -219,7 +221,7 @@ def _follow(
 def pressures_at(
     recording: Recording, finger_index: int, calibration: Calibration, times: Array
 ) -> Array:
-    """Gauge pressure at `times`, Pa, between the readings of the valve's board; NaN without any."""
+    """Interpolate the valve board's gauge pressure readings at `times`, Pa; NaN without any."""
     readings = recording.column("gauge_pressure")
     when = recording.column("valve_time")
     if not len(recording) or finger_index >= recording.valve_count:
@@ -271,7 +273,7 @@ def _holds(
     shots: Sequence[Markers],
     pressure: Array,
 ) -> Iterator[Hold]:
-    """The ends of the holds between the moves, and of the time before the first."""
+    """Yield the ends of the holds between the moves, and of the time before the first."""
     moves: tuple[Move | None, ...] = (None, *(stage.moves if stage else ()))
     last = float(times[-1]) if len(times) else 0.0
     ends = [*(min(move.time, last) for move in moves[1:] if move), last]

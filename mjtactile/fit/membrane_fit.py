@@ -194,7 +194,7 @@ class _Problem:
         return replace(self.design, membrane=replace(self.design.membrane, **values))
 
     def offset(self, index: int, x: Array) -> float:
-        """First touch of a recording, m, deeper than its mark."""
+        """Return the depth of a recording's first touch below its mark, m."""
         if index in self.pressed:
             return self.options.touch_sd * float(x[len(self.names) + self.pressed.index(index)])
         return 0.0
@@ -238,7 +238,8 @@ class _Problem:
         return self._last[1]
 
     def _residuals(self, index: int, holds: Sequence[Simulated]) -> Array:
-        """Simulated less measured markers of a recording, whitened, and forces of a load cell."""
+        """Return simulated minus measured markers of a recording, whitened, and load cell
+        forces."""
         e = self.evidence[index]
         parts = []
         triples = zip(e.states, holds, self._whiten[index], strict=True)

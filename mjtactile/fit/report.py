@@ -70,7 +70,7 @@ def _held_out_text(row: Any) -> str:
 
 
 def plot(figure: Any, result: FitResult) -> None:
-    """Into an empty matplotlib figure."""
+    """Plot the result into an empty matplotlib figure."""
     boxes = figure.subplots(2, 3)
     _plot_parameters(boxes[0, 0], result)
     _plot_markers(boxes[0, 1], result)
@@ -115,7 +115,7 @@ def _plot_markers(axes: Any, result: FitResult) -> None:
 
 
 def _plot_map(axes: Any, result: FitResult) -> None:
-    """Height residual of each marker, mean over all holds."""
+    """Plot the height residual of each marker, mean over all holds."""
     errors = [
         found.p_SM[:, 2] - hold.p_SM[:, 2]
         for e, holds in zip(result.evidence, result.membrane.holds, strict=True)

@@ -170,7 +170,7 @@ _NUMBERS |= {"interval_95": "interval"}
 
 
 def to_table(result: FitResult) -> dict[str, Any]:
-    """The JSON of `mjtactile fit`."""
+    """Return the JSON object of `mjtactile fit`."""
     pressure_rms = {}
     if result.gas is not None:
         for run, fitted in zip(result.gas.runs, result.gas.fitted, strict=True):

@@ -47,8 +47,10 @@ def simulate(
     offset: float = 0.0,
     mesh: tuple[int, int] | None = None,
 ) -> tuple[Simulated, ...]:
-    """The rest and the holds of a recording, in their order, first touch `offset` m deeper than its
-    mark."""
+    """Simulate the rest and the holds of a recording, in order.
+
+    The first touch is `offset` m deeper than its mark.
+    """
     stage = evidence.stage
     world = stage_world(design, evidence, mesh)
     pressure = _pressure(design, evidence, evidence.rest)

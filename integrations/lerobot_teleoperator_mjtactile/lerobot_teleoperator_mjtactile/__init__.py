@@ -49,25 +49,25 @@ class MjtactileTeleoperator(Teleoperator):
         return True
 
     def calibrate(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def configure(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
         """Read the controller's file."""
         self._controller = mjtactile.load_controller(self.config.controller)
 
     def disconnect(self) -> None:
-        """Forget it."""
+        """Discard the controller."""
         self._controller = None
         self._last = None
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def get_action(self) -> dict[str, float]:
-        """The controller's next command; when it is done, its last one again."""
+        """Return the controller's next command; once it is done, its last one."""
         seen = latest()
         last = self._last
         if last is None or last.phase not in ("done", "abort"):

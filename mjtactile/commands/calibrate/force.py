@@ -273,7 +273,7 @@ def _recording(
 def _live(
     options: argparse.Namespace, targets: Sequence[output_options.OutputFile]
 ) -> tuple[list[Any], Loads]:
-    """References and loads of fingers of a rig; only with a load cell do the jaws move."""
+    """Return the references and loads of a rig's fingers; the jaws move only with a load cell."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
     from mjtactile.calibrate.interactive import keepalive, reference_images
     from mjtactile.runtime.re_estimation import zeroed_pipeline
