@@ -25,8 +25,8 @@ from tools.material_samples import Kind, MaterialSample, to_mjcf
 
 FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")
-BODIES = 48
-BODIES_QUICK = 4
+OBJECTS = 48
+OBJECTS_QUICK = 4
 TARGETS = {"class_right": (0.93, 0.98), "modulus_within_2": (0.85, 0.95)}
 
 
@@ -87,7 +87,7 @@ def run(
     """
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(FIRST_SEED, FIRST_SEED + (BODIES_QUICK if quick else BODIES)):
+        for seed in range(FIRST_SEED, FIRST_SEED + (OBJECTS_QUICK if quick else OBJECTS)):
             rows.append(_row(seed, Path(folder)))
             notify(_line(rows[-1]))
             write_json(Path(out) / "material.json", {"runs": rows, **summary(rows)})

@@ -103,7 +103,7 @@ def _made(
     )
 
 
-def _body(quasistatic: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
+def _obstacle_of(quasistatic: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
     """Return the obstacle of a case.
 
     The reference's obstacles touch the membrane's midsurface; here they touch its outer face.
@@ -121,7 +121,7 @@ def _body(quasistatic: QuasistaticMembrane, case: dict[str, Any]) -> Obstacle:
 
 def _against(case: dict[str, Any], grid: tuple[int, int], sensor: str = "dense") -> dict[str, Any]:
     quasistatic = _membrane(case, grid, sensor)
-    state = quasistatic.solve(_body(quasistatic, case))
+    state = quasistatic.solve(_obstacle_of(quasistatic, case))
     row = {key: case[key] for key in case if key != "markers_um"}
     row["converged"] = bool(state.converged)
     row["force_error"] = state.force_normal / case["force_N"] - 1
@@ -158,7 +158,7 @@ def _sticking(grid: tuple[int, int], references: dict[str, Any]) -> Iterator[dic
 # -- against itself --------------------------------------------------------------------------------
 
 
-def _bodies(quasistatic: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
+def _obstacles(quasistatic: QuasistaticMembrane, at: Array) -> Iterator[tuple[str, list[Obstacle]]]:
     """Yield obstacles without a reference solution.
 
     Their force must not depend on the node positions, except for local differences of the
@@ -193,8 +193,8 @@ def _scatter(grid: tuple[int, int], count: int) -> dict[str, Any]:
     places = np.random.default_rng(4).uniform(-1e-3, 1e-3, (count, 2))
     forces: dict[str, list[float]] = {}
     for at in places:
-        for name, bodies in _bodies(quasistatic, at):
-            found = quasistatic.solve_batch([bodies])[0].force_normal  # NaN where there is none
+        for name, obstacles in _obstacles(quasistatic, at):
+            found = quasistatic.solve_batch([obstacles])[0].force_normal  # NaN where there is none
             forces.setdefault(name, []).append(found)
     return {name: _summary(np.array(values)) for name, values in forces.items()}
 
@@ -220,7 +220,7 @@ def _plot(path: Path, cases: list[dict[str, Any]]) -> None:
     axes = figure.subplots(2, 3, height_ratios=(1.1, 1))
     for column, case in enumerate(cases):
         quasistatic = _membrane(case, GRIDS[1])
-        state = quasistatic.solve(_body(quasistatic, case))
+        state = quasistatic.solve(_obstacle_of(quasistatic, case))
         above, cut = axes[0, column], axes[1, column]
         shown = above.contourf(1e3 * quasistatic.x, 1e3 * quasistatic.y, 1e3 * state.heights.T, 16)
         i, j = np.nonzero(state.contact_forces > 0)
@@ -230,7 +230,7 @@ def _plot(path: Path, cases: list[dict[str, Any]]) -> None:
         figure.colorbar(shown, ax=above, label="membrane height, mm", orientation="horizontal")
         x = np.linspace(-0.02, 0.02, 801)
         body = 1e3 * quasistatic.obstacle_heights(
-            _body(quasistatic, case), np.column_stack([x, 0 * x])
+            _obstacle_of(quasistatic, case), np.column_stack([x, 0 * x])
         )
         top = 3.3
         cut.fill_between(1e3 * x, body, top, where=body < top, color="0.85", label="object")

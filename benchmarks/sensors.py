@@ -22,7 +22,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
 SENSORS = ("paper16", "dense", "fine", "round30", "ellipse")
 MESH = (33, 25)
-BODIES = (("sphere", 7e-3), ("sphere", 14e-3), ("cylinder", 4.5e-3), ("box", 8e-3))
+INDENTERS = (("sphere", 7e-3), ("sphere", 14e-3), ("cylinder", 4.5e-3), ("box", 8e-3))
 DEPTHS = (1e-3, 1.5e-3, 2e-3)
 IMAGES = 4
 _BALLS = ("sphere",)
@@ -42,12 +42,12 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     notify = Progress().message
     rows = []
     for name in SENSORS:
-        rows.append(_row(name, BODIES[:1] if quick else BODIES))
+        rows.append(_row(name, INDENTERS[:1] if quick else INDENTERS))
         notify(f"{name}: normal force off by {1e3 * rows[-1]['force_error_N']:.1f} mN")
     return {"rows": rows}
 
 
-def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
+def _row(name: str, indenters: tuple[tuple[str, float], ...]) -> dict[str, Any]:
     design = load_sensor(name)
     force: list[float] = []
     marker: list[float] = []
@@ -55,7 +55,7 @@ def _row(name: str, bodies: tuple[tuple[str, float], ...]) -> dict[str, Any]:
     radius: list[float] = []
     spent = np.zeros(3)  # ms: drawing, perception, shape
     images = shapes = 0
-    for number, (kind, size) in enumerate(bodies):
+    for number, (kind, size) in enumerate(indenters):
         rng = np.random.default_rng([number, 77])
         at = tuple(rng.uniform(-4e-3, 4e-3, 2))
         world = PressWorld(design, Indenter(kind, size), at=at, mesh=MESH)
@@ -116,7 +116,7 @@ def _percent(fraction: float | None, digits: int) -> str:
 def table(result: Mapping[str, Any]) -> str:
     """Format the result as a Markdown table."""
     rows = result["rows"]
-    presses = len(DEPTHS) * len(BODIES)
+    presses = len(DEPTHS) * len(INDENTERS)
 
     def line(label: str, *cells: str) -> str:
         return f"| {label} | " + " | ".join(cells) + " |"

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.reference_cases.cases import Case
-from benchmarks.scenes.stress_scenes import Body, FloatWorld, PinchWorld
+from benchmarks.scenes.stress_scenes import FloatWorld, FreeObject, PinchWorld
 from mjtactile.core.types import Array
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim import ground_truth
@@ -161,7 +161,7 @@ def _hold(case: Case) -> list[Number]:
     plan = case.plan
     numbers = []
     for step in plan["timestep_ms"]:
-        body = Body(plan["body"], 1e-3 * plan["size_mm"], 1e-3 * plan["mass_g"])
+        body = FreeObject(plan["body"], 1e-3 * plan["size_mm"], 1e-3 * plan["mass_g"])
         world = PinchWorld(
             case.design,
             body,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-BODIES = ("ball", "box", "cylinder", "lying cylinder", "soft block", "soft ball")
+OBJECTS = ("ball", "box", "cylinder", "lying cylinder", "soft block", "soft ball")
 FRICTION = (0.3, 1.2)
 SPEED = (2e-3, 40e-3)  # final speed of a slipping object without a moving finger, m/s
 _SHEAR_MAX = 1.0  # maximum shear of the membrane, N: a larger one wrinkles it
@@ -90,7 +90,7 @@ def sample_slip_case(seed: int) -> SlipCase:
     motions = SLIPS if seed % 2 == 0 else HOLDS
     name = list(motions)[seed // 2 % len(motions)]
     motion = motions[name]
-    body = BODIES[rng.integers(len(BODIES))]
+    body = OBJECTS[rng.integers(len(OBJECTS))]
     mu = float(rng.uniform(*FRICTION))
     other = mu
     if motion.load == "one":  # the left one slips or both hold

@@ -22,7 +22,7 @@ _MASS = 0.1
 
 
 @dataclass(frozen=True)
-class Body:
+class FreeObject:
     """A free rigid body: "sphere" (radius), "box" (edge), "plate" (2 x 2 cm, thickness) or "rod"
     (radius, 2 cm long), by `size` m, and `mass` kg."""
 
@@ -58,7 +58,7 @@ class DropWorld(World):
     def __init__(
         self,
         sensor: SensorDesign | str | Path,
-        item: Body,
+        item: FreeObject,
         *,
         gauge_pressure: float,
         speed: float = 0.0,
@@ -143,7 +143,7 @@ class PinchWorld(World):
     def __init__(
         self,
         sensor: SensorDesign | str | Path,
-        item: Body,
+        item: FreeObject,
         *,
         gauge_pressure: float,
         squeeze: float,

@@ -261,7 +261,7 @@ def _torus(rng: np.random.Generator) -> Foreign:
     return Foreign(_field(lambda u, v: _round_profile(np.abs(np.hypot(u, v) - radius), thick)))
 
 
-def _two_bodies(rng: np.random.Generator) -> Foreign:
+def _ball_and_block(rng: np.random.Generator) -> Foreign:
     radius, halves = float(rng.uniform(3e-3, 6e-3)), rng.uniform(2.5e-3, 4e-3, 2)
     angle = rng.uniform(0, np.pi)
     R = _turn(2, angle)
@@ -304,7 +304,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Foreign]] = {
     "rounded wedge": _rounded_wedge,
     "superquadric": _superquadric,
     "torus": _torus,
-    "ball and block": _two_bodies,
+    "ball and block": _ball_and_block,
     "screw thread": _screw,
     "coin on its edge": _coin,
 }

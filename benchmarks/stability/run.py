@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.scenes.stress_scenes import Body, DropWorld, PinchWorld
+from benchmarks.scenes.stress_scenes import DropWorld, FreeObject, PinchWorld
 from benchmarks.stability.cases import Case, matrix, pruned
 from mjtactile.core import platform_support
 from mjtactile.core.design import SensorDesign, load_sensor
@@ -234,7 +234,7 @@ def _press(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
 def _drop(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
     world = DropWorld(
         design,
-        Body(case.body, case.size, case.mass),
+        FreeObject(case.body, case.size, case.mass),
         gauge_pressure=case.pressure,
         speed=case.speed,
         timestep=case.timestep,
@@ -247,7 +247,7 @@ def _drop(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
 def _pinch(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]:
     world = PinchWorld(
         design,
-        Body(case.body, case.size, case.mass),
+        FreeObject(case.body, case.size, case.mass),
         gauge_pressure=case.pressure,
         squeeze=case.depth,
         timestep=case.timestep,

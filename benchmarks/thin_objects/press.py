@@ -22,7 +22,7 @@ _STATED = re.compile(r"off by (\d+)%")
 
 
 @dataclass(frozen=True)
-class Body:
+class ThinObject:
     """Indenter.
 
     Its kind of geom, MuJoCo's sizes, m, its rotation `tilt` about x, rad. `below`, m, is the
@@ -46,21 +46,21 @@ class Body:
         return turned.reshape(3, 3) @ tilted.reshape(3, 3)
 
 
-def _lying(kind: str, radius: float, half: float, depth: float) -> Body:
-    return Body(kind, (radius, half, 0.0), np.pi / 2, radius, depth)
+def _lying(kind: str, radius: float, half: float, depth: float) -> ThinObject:
+    return ThinObject(kind, (radius, half, 0.0), np.pi / 2, radius, depth)
 
 
-def _standing(radius: float, depth: float) -> Body:
-    return Body("cylinder", (radius, 5e-3, 0.0), 0.0, 5e-3, depth)
+def _standing(radius: float, depth: float) -> ThinObject:
+    return ThinObject("cylinder", (radius, 5e-3, 0.0), 0.0, 5e-3, depth)
 
 
-def _square(side: float, depth: float) -> Body:
-    return Body("box", (side / 2, side / 2, 5e-3), 0.0, 5e-3, depth)
+def _square(side: float, depth: float) -> ThinObject:
+    return ThinObject("box", (side / 2, side / 2, 5e-3), 0.0, 5e-3, depth)
 
 
-BODIES = {
-    "blade 0.4 x 12 mm": Body("box", (2e-4, 6e-3, 5e-3), 0.0, 5e-3, 2.8e-3),
-    "blade 1 x 12 mm": Body("box", (5e-4, 6e-3, 5e-3), 0.0, 5e-3, 2e-3),
+THIN_OBJECTS = {
+    "blade 0.4 x 12 mm": ThinObject("box", (2e-4, 6e-3, 5e-3), 0.0, 5e-3, 2.8e-3),
+    "blade 1 x 12 mm": ThinObject("box", (5e-4, 6e-3, 5e-3), 0.0, 5e-3, 2e-3),
     "rod of 1 mm radius": _lying("capsule", 1e-3, 12e-3, 1.3e-3),
     "wire of 0.3 mm radius": _lying("cylinder", 3e-4, 10e-3, 1.5e-3),
     "wire of 0.6 mm radius": _lying("cylinder", 6e-4, 10e-3, 1.5e-3),
@@ -91,7 +91,7 @@ class Pressed:
 
 
 def press(
-    body: Body,
+    item: ThinObject,
     at: tuple[float, float],
     speed: float,
     *,
@@ -102,7 +102,7 @@ def press(
     """Press `body` into `dense` at 1 kPa, over the point `at`, rotated by `turn` about z.
 
     Args:
-        body: Indenter.
+        item: Indenter.
         at: Position x and y, m, frame S.
         speed: Speed of the drive, m/s.
         turn: Rotation about S's z, before the load, rad.
@@ -124,10 +124,10 @@ def press(
     carrier = spec.worldbody.add_body(name="carrier", pos=[*at, 0.05])
     carrier.add_joint(name="drive", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 0, 1])
     quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, body.rotation(turn).ravel())
+    mujoco.mju_mat2Quat(quaternion, item.rotation(turn).ravel())
     geom = carrier.add_geom(name="thin", mass=_MASS, quat=quaternion)
-    geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{body.kind.upper()}")
-    geom.size = body.size
+    geom.type = getattr(mujoco.mjtGeom, f"mjGEOM_{item.kind.upper()}")
+    geom.size = item.size
     drive = spec.add_actuator(name="drive", target="drive", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     drive.set_to_position(kp=_STIFFNESS, kv=2 * np.sqrt(_STIFFNESS * _MASS))
     mount = mjtactile.attach(spec, "dense", site="here", effects=PHYSICS, **attaching)
@@ -135,12 +135,12 @@ def press(
     data = mujoco.MjData(model)
     finger = mount.bind(model, data)
     joint = int(model.joint("drive").qposadr[0])
-    touch = finger.sensor.height_at(*at) + body.below - 0.05
+    touch = finger.sensor.height_at(*at) + item.below - 0.05
     start = touch + _CLEARANCE
     data.qpos[joint] = start
     data.ctrl[0] = start
     mujoco.mj_forward(model, data)
-    goal = touch - body.depth
+    goal = touch - item.depth
     count = max(1, round((start - goal) / (speed * timestep)))
     for height in np.linspace(start, goal, count + 1)[1:]:
         data.ctrl[0] = height

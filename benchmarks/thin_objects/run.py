@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.thin_objects.press import BODIES, FACES, Body, press
+from benchmarks.thin_objects.press import FACES, THIN_OBJECTS, ThinObject, press
 from mjtactile import MembraneSolution, Obstacle, QuasistaticMembrane
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.core.types import Array
@@ -36,18 +36,18 @@ def run(out: Path, *, quick: bool = False, notify: Notify | None = None) -> dict
     membranes = [QuasistaticMembrane("dense", grid, 1000.0) for grid in (_GRID, *_COARSER)]
     places = PLACES_QUICK if quick else PLACES
     rows = []
-    for name, body in (BODIES | FACES).items():
+    for name, item in (THIN_OBJECTS | FACES).items():
         notify(f"thin: {name}")
         rng = np.random.default_rng(_SEED)
         for _ in range(places):
             at = rng.uniform(-_AROUND, _AROUND, 2)
             angle = float(rng.uniform(0, np.pi))
-            rows.append({"body": name, **_compared(membranes, body, at, angle)})
+            rows.append({"body": name, **_compared(membranes, item, at, angle)})
     return {"places": places, "speeds": list(SPEEDS), "rows": rows}
 
 
 def _compared(
-    membranes: list[QuasistaticMembrane], body: Body, at: Array, turn: float
+    membranes: list[QuasistaticMembrane], item: ThinObject, at: Array, turn: float
 ) -> dict[str, Any]:
     """Return the forces, N, at each speed, the reference force, and the stated error.
 
@@ -59,7 +59,7 @@ def _compared(
     stated = 0.0
     for speed in SPEEDS:
         try:
-            pressed = press(body, (at[0], at[1]), speed, turn=turn)
+            pressed = press(item, (at[0], at[1]), speed, turn=turn)
         except SimulationError as error:
             forces.append(None)
             stopped.append(error.reason)
@@ -70,25 +70,25 @@ def _compared(
         "at": at.tolist(),
         "turn": turn,
         "forces": forces,
-        "quasistatic": _reference(membranes, body, at, turn),
+        "quasistatic": _reference(membranes, item, at, turn),
         "stated": stated,
         "stopped": stopped,
     }
 
 
 def _reference(
-    membranes: list[QuasistaticMembrane], body: Body, at: Array, turn: float
+    membranes: list[QuasistaticMembrane], item: ThinObject, at: Array, turn: float
 ) -> float | None:
     """Return the force, N, on the finest quasi-static membrane with an equilibrium."""
     forces = (
-        _quasistatic_force(membrane, body, at, turn)
-        for membrane in membranes[1 if body.tilt else 0 :]
+        _quasistatic_force(membrane, item, at, turn)
+        for membrane in membranes[1 if item.tilt else 0 :]
     )
     return next((force for force in forces if force is not None), None)
 
 
 def _quasistatic_force(
-    membrane: QuasistaticMembrane, body: Body, at: Array, turn: float
+    membrane: QuasistaticMembrane, item: ThinObject, at: Array, turn: float
 ) -> float | None:
     """Return the force, N, of the quasi-static membrane on the indenter.
 
@@ -97,10 +97,10 @@ def _quasistatic_force(
     from scipy.interpolate import RectBivariateSpline
 
     surface = RectBivariateSpline(membrane.x, membrane.y, membrane.rest.displacements[2])
-    height = float(surface.ev(*at)) - body.depth + body.below
+    height = float(surface.ev(*at)) - item.depth + item.below
     state: MembraneSolution | None = None
-    for lift in np.linspace(body.depth, 0.0, 9)[1:]:
-        obstacle = _obstacle(body, (at[0], at[1], height + lift), body.rotation(turn))
+    for lift in np.linspace(item.depth, 0.0, 9)[1:]:
+        obstacle = _obstacle(item, (at[0], at[1], height + lift), item.rotation(turn))
         try:
             state = membrane.solve(obstacle, state)
         except InputError:  # on the rim, pulled inside out, or through between two nodes
@@ -108,18 +108,18 @@ def _quasistatic_force(
     return state.force_normal if state is not None and state.converged else None
 
 
-def _obstacle(body: Body, p_SO: tuple[float, float, float], R_SO: Array) -> Obstacle:
+def _obstacle(item: ThinObject, p_SO: tuple[float, float, float], R_SO: Array) -> Obstacle:
     """Return the indenter as an obstacle of the quasi-static membrane.
 
     A lying wire is extended by flanks that the membrane does not reach. Otherwise it could pass
     between two nodes undetected.
     """
-    if body.kind == "box":
-        return QuasistaticMembrane.obstacle("box", body.size, p_SO, R_SO)
-    if not body.tilt:
-        return QuasistaticMembrane.obstacle("cylinder", body.size[:2], p_SO, R_SO)
-    radius, half = body.size[:2]
-    half += radius if body.kind == "capsule" else 0.0
+    if item.kind == "box":
+        return QuasistaticMembrane.obstacle("box", item.size, p_SO, R_SO)
+    if not item.tilt:
+        return QuasistaticMembrane.obstacle("cylinder", item.size[:2], p_SO, R_SO)
+    radius, half = item.size[:2]
+    half += radius if item.kind == "capsule" else 0.0
     # the wire's axis is its z; its lowest line is at -y, which the tilt about x turns down
     across = radius * np.sin(_ARC)
     down = -radius * np.cos(_ARC)
@@ -141,7 +141,7 @@ def table(result: dict[str, Any]) -> str:
         "| stopped | beyond the flagged error |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    lines += [_line(result["rows"], name) for name in BODIES | FACES]
+    lines += [_line(result["rows"], name) for name in THIN_OBJECTS | FACES]
     return "\n".join(lines) + "\n"
 
 

@@ -127,7 +127,7 @@ def run(out: Path, *, quick: bool = False, notify: Notify = lambda _: None) -> d
             )
         )
     edges: list[dict[str, Any]] = []
-    for seed, case in sharp_indenters.bodies(quick=quick):
+    for seed, case in sharp_indenters.indenters(quick=quick):
         edges += _sharp_episode(seed, case, mesh)
         notify(
             f"{case.name} {seed}: " + ", ".join(f"{r['error_shape_N']:+.3f}" for r in edges[-3:])

@@ -17,7 +17,7 @@ from mjtactile.experiments.test_bench import View
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import PressWorld
 
-BODIES = {"wedge": "an edge", "corner": "a corner", "two balls": "two balls at once"}
+INDENTERS = {"wedge": "an edge", "corner": "a corner", "two balls": "two balls at once"}
 FIRST_SEED = 1200
 _EACH, _EACH_QUICK = 3, 1
 _DEPTHS = (0.8e-3, 1.6e-3, 2.6e-3)
@@ -26,7 +26,7 @@ _MAX_FORCE = 1.5  # force limit, N
 _FRAMES = 3  # images of each state; the last one counts
 
 
-def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
+def indenters(*, quick: bool = False) -> list[tuple[int, Case]]:
     """Return the seeds and indenters.
 
     Args:
@@ -37,7 +37,7 @@ def bodies(*, quick: bool = False) -> list[tuple[int, Case]]:
     """
     each = _EACH_QUICK if quick else _EACH
     sampled = [(seed, sample_case(seed)) for seed in range(FIRST_SEED, FIRST_SEED + 9 * each)]
-    return [(seed, case) for seed, case in sampled if case.name in BODIES]
+    return [(seed, case) for seed, case in sampled if case.name in INDENTERS]
 
 
 def episode(
@@ -114,15 +114,15 @@ def summary(name: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str,
         without and with the estimated shape.
     """
     entries = {}
-    for body in BODIES:
-        own = [row for row in rows if (row["sensor"], row["body"]) == (name, body)]
+    for kind in INDENTERS:
+        own = [row for row in rows if (row["sensor"], row["body"]) == (name, kind)]
         numbers: dict[str, float] = {}
         for suffix in ("", "_shape"):
             off = np.abs([row[f"error{suffix}_N"] for row in own])
             numbers[f"mae{suffix}_N"] = float(off.mean())
             numbers[f"worst{suffix}_N"] = float(off.max())
             numbers[f"chi2{suffix}"] = float(np.mean([row[f"chi2{suffix}"] for row in own]))
-        entries[body] = numbers
+        entries[kind] = numbers
     return entries
 
 
@@ -139,11 +139,11 @@ def lines(sensors: Mapping[str, Mapping[str, dict[str, float]]]) -> list[str]:
         f"| normal force error (worst), N; chi-square of the wrench | {' | '.join(sensors)} |",
         "|---" * (1 + len(sensors)) + "|",
     ]
-    for body, name in BODIES.items():
+    for kind, name in INDENTERS.items():
         for suffix, label in (("", ""), ("_shape", ", with contact shape")):
             shown = [
-                f"{s[body][f'mae{suffix}_N']:.4f} ({s[body][f'worst{suffix}_N']:.3f}), "
-                f"{s[body][f'chi2{suffix}']:.2f}"
+                f"{s[kind][f'mae{suffix}_N']:.4f} ({s[kind][f'worst{suffix}_N']:.3f}), "
+                f"{s[kind][f'chi2{suffix}']:.2f}"
                 for s in sensors.values()
             ]
             rows.append(f"| {name}{label} | " + " | ".join(shown) + " |")

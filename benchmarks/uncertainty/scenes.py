@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.scenes.stress_scenes import Body
+from benchmarks.scenes.stress_scenes import FreeObject
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.sim.scenes.indentation import Indenter
@@ -23,7 +23,7 @@ existed."""
 MESHES = ((13, 11), (13, 11), (17, 13), (21, 17))
 SIZES = {"sphere": (3e-3, 16e-3), "cylinder": (2.5e-3, 8e-3), "box": (5e-3, 14e-3)}
 MODELS = ("wedge", "corner", "spheres")
-_BODIES = {"sphere": (6e-3, 16e-3), "box": (8e-3, 16e-3), "rod": (3e-3, 10e-3)}
+_HELD_SIZES = {"sphere": (6e-3, 16e-3), "box": (8e-3, 16e-3), "rod": (3e-3, 10e-3)}
 # minimum distance of an indenter from the frame, m; contact with the frame is not a touch of the
 # membrane
 _MARGIN = 1.5e-3
@@ -45,7 +45,7 @@ class Scene:
     mesh: tuple[int, int]
     supply: float
     indenter: Indenter
-    body: Body
+    body: FreeObject
     at: tuple[float, float]
     tilt: float
     forces: tuple[float, float]
@@ -101,7 +101,7 @@ def sample_scene(seed: int) -> Scene:
     if kind == "edge":  # next to one of the four sides, as near as the indenter fits
         side = int(rng.integers(2))
         at[side] = float(rng.choice([-1, 1])) * half[side] * rng.uniform(0.85, 1.0)
-    body = list(_BODIES)[rng.integers(len(_BODIES))]
+    kind_held = list(_HELD_SIZES)[rng.integers(len(_HELD_SIZES))]
     forces = np.sort(np.exp(rng.uniform(np.log(0.04), np.log(1.8), 2)))
     frequency = float(rng.uniform(2, 10))
     turned = rng.normal(size=3)
@@ -114,7 +114,9 @@ def sample_scene(seed: int) -> Scene:
         mesh=MESHES[rng.integers(len(MESHES))],
         supply=float(rng.uniform(600, 2000)),
         indenter=indenter,
-        body=Body(body, float(rng.uniform(*_BODIES[body])), float(rng.uniform(5e-3, 30e-3))),
+        body=FreeObject(
+            kind_held, float(rng.uniform(*_HELD_SIZES[kind_held])), float(rng.uniform(5e-3, 30e-3))
+        ),
         at=(float(at[0]), float(at[1])),
         tilt=float(rng.uniform(-0.15, 0.15)),
         forces=(float(forces[0]), float(forces[1])),

@@ -251,11 +251,11 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
 
 
 def test_two_membranes_hold_a_plate_by_friction():
-    from benchmarks.scenes.stress_scenes import Body, PinchWorld
+    from benchmarks.scenes.stress_scenes import FreeObject, PinchWorld
 
     world = PinchWorld(
         "paper16",
-        Body("plate", 1e-3, 2e-3),
+        FreeObject("plate", 1e-3, 2e-3),
         gauge_pressure=1000.0,
         squeeze=1e-3,
         timestep=2e-3,
@@ -277,9 +277,9 @@ def test_two_membranes_hold_a_plate_by_friction():
 
 
 def test_an_object_rests_on_nothing_but_a_membrane():
-    from benchmarks.scenes.stress_scenes import Body, DropWorld
+    from benchmarks.scenes.stress_scenes import DropWorld, FreeObject
 
-    world = DropWorld("paper16", Body("box", 0.015, 0.03), gauge_pressure=500.0, mesh=MESH)
+    world = DropWorld("paper16", FreeObject("box", 0.015, 0.03), gauge_pressure=500.0, mesh=MESH)
     world.step(400)
     force = np.zeros(3)
     for _ in range(25):
@@ -295,11 +295,11 @@ def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
 
     The impact appears in the force; the equilibrium force is the weight.
     """
-    from benchmarks.scenes.stress_scenes import Body, DropWorld
+    from benchmarks.scenes.stress_scenes import DropWorld, FreeObject
 
     world = DropWorld(
         "paper16",
-        Body("sphere", 0.01, 0.02),
+        FreeObject("sphere", 0.01, 0.02),
         gauge_pressure=1000.0,
         speed=speed,
         timestep=1e-3,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.scenes.stress_scenes import Body, DropWorld
+from benchmarks.scenes.stress_scenes import DropWorld, FreeObject
 from benchmarks.stability import run
 from benchmarks.stability.cases import matrix, pruned
 from mjtactile.core.design import load_sensor
@@ -83,7 +83,7 @@ def test_something_that_goes_through_stops_the_run():
     """A sheet of paper at 30 m/s moves its own thickness 600 times in a step: it is never seen in
     contact."""
     world = DropWorld(
-        "paper16", Body("plate", 2e-4, 1e-3), gauge_pressure=1000.0, speed=30.0, guided=True
+        "paper16", FreeObject("plate", 2e-4, 1e-3), gauge_pressure=1000.0, speed=30.0, guided=True
     )
     with pytest.raises(SimulationError, match=r"went through|glass|sunk"):
         world.step(300)
@@ -92,7 +92,7 @@ def test_something_that_goes_through_stops_the_run():
 def test_a_body_too_fast_for_the_step_is_flagged():
     world = DropWorld(
         "paper16",
-        Body("sphere", 3e-3, 0.05),
+        FreeObject("sphere", 3e-3, 0.05),
         gauge_pressure=1000.0,
         speed=2.0,
         timestep=4e-3,

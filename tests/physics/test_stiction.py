@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.scenes.stress_scenes import Body, FaceWorld, FloatWorld, PinchWorld
+from benchmarks.scenes.stress_scenes import FaceWorld, FloatWorld, FreeObject, PinchWorld
 from mjtactile.core.design import load_sensor
 from mjtactile.core.neo_hookean import Law
 from mjtactile.sim import ground_truth
@@ -56,7 +56,11 @@ def mean_shear(world):
 )
 def test_a_held_object_does_not_creep(kind, size, squeeze, timestep):
     world = PinchWorld(
-        "dense", Body(kind, size, 0.02), gauge_pressure=1000.0, squeeze=squeeze, timestep=timestep
+        "dense",
+        FreeObject(kind, size, 0.02),
+        gauge_pressure=1000.0,
+        squeeze=squeeze,
+        timestep=timestep,
     )
     world.step(round(0.5 / timestep))
     grip = sum(-ground_truth.contact_force(world, i)[2] for i in range(2))

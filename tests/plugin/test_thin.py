@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mjtactile
-from benchmarks.thin_objects.press import BODIES, press
+from benchmarks.thin_objects.press import THIN_OBJECTS, press
 from mjtactile.core.errors import InputError, SimulationError
 from mjtactile.sim.sensor.effect_switches import PHYSICS
 
@@ -44,14 +44,14 @@ def test_what_is_thin_is_estimated_between_the_vertices_and_fast(name, membrane,
     on_a_row = (0.08e-3, -1.07e-3)
     off_it = (-2.23e-3, -0.58e-3)
     presses = (on_a_row, 0.01), (on_a_row, 0.1), (off_it, 0.1)
-    forces = [press(BODIES[name], at, speed).force for at, speed in presses]
+    forces = [press(THIN_OBJECTS[name], at, speed).force for at, speed in presses]
     assert forces == pytest.approx([membrane] * 3, rel=fraction)
     assert forces == pytest.approx([np.mean(forces)] * 3, rel=0.1)
 
 
 @pytest.mark.slow
 def test_a_wire_is_held_where_two_vertices_share_it():
-    wire = BODIES["wire of 0.3 mm radius"]
+    wire = THIN_OBJECTS["wire of 0.3 mm radius"]
     forces = [press(wire, (1.6e-3, y), 0.1, turn=0.4).force for y in (0.0, 1e-3, 2e-3)]
     assert max(forces) < 1.2 * min(forces)  # the wire's ends come to lie on other slopes, too
 
@@ -128,7 +128,7 @@ def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
     """With faulty contact, a pin behind the membrane is detected by its position and stops the
     scene."""
     monkeypatch.setattr("mjtactile.sim.sensor.sharp_geoms._MAX_FACES", 0)
-    pin = replace(BODIES["pin of 0.5 mm radius"], depth=4e-3)
+    pin = replace(THIN_OBJECTS["pin of 0.5 mm radius"], depth=4e-3)
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     with pytest.raises(SimulationError, match="'thin' went through the membrane"):
         press(pin, (1.5e-3, 1.5e-3), 0.05, contact="vertices")

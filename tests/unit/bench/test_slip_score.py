@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.scenes.slip_cases import BODIES, FRICTION, HOLDS, SLIPS, sample_slip_case
+from benchmarks.scenes.slip_cases import FRICTION, HOLDS, OBJECTS, SLIPS, sample_slip_case
 from benchmarks.slip.score import Frame, outcome
 
 RATE = 30.0
@@ -61,7 +61,7 @@ def test_holds_and_what_lies_between():
 def test_cases_are_sampled_from_their_seed_and_cover_all_ways():
     cases = [sample_slip_case(seed) for seed in range(40)]
     assert {case.name for case in cases} == {*SLIPS, *HOLDS} and cases[3] == sample_slip_case(3)
-    assert {case.body for case in cases} <= set(BODIES)
+    assert {case.body for case in cases} <= set(OBJECTS)
     assert all(FRICTION[0] <= mu <= FRICTION[1] for case in cases for mu in case.friction)
     one = next(case for case in cases if case.name == "one of two")
     assert one.friction[0] < one.friction[1]
