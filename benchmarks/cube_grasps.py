@@ -28,13 +28,13 @@ SENSORS = ("dense", "fine", "paper16", "round30")
 FORCES = (1.0, 2.0, 3.0)
 ALLOWED = 0.03
 """Required relative error of the force."""
-_HOLD = 1.2  # at each force, s
-_COUNTED = 0.5  # of it, at its end, s
+_HOLD = 1.2  # duration of the hold at each force, s
+_COUNTED = 0.5  # duration of the evaluated part at its end, s
 _TOUCH = 0.08  # N
 _CLOSING = 0.025  # m/s
 _GAIN = 0.03  # opening speed per force error, m/s/N
 _SPEED_MAX = 0.01  # m/s
-_FORCE_LIMIT = 8.0  # of the servo, N
+_FORCE_LIMIT = 8.0  # force limit of the servo, N
 
 _FILE = """<mujoco model="cube">
   <custom>

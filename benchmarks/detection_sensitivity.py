@@ -44,7 +44,7 @@ TORN_STEP = 3e-4  # depth step of the load, m
 TORN_SD = 4e-4  # scatter of markers that fit no shape, m
 TORN_IMAGES = 3
 SMALL = 0.5  # fraction of an image's size
-_NEAR = 3.0  # px, of the same circle
+_NEAR = 3.0  # maximum distance of the same circle in two images, px
 _SIMILAR_CERTAINTY = 0.05  # probability of the correct pose
 
 

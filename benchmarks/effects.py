@@ -39,8 +39,8 @@ from mjtactile.sim.sensor.effect_switches import (
 )
 
 _STEP = 1 / 240
-_BLOCK = 4  # steps at a time, as between two images
-_IMAGES = 20  # images of a state, for means: the estimated force scatters by 50 mN in the deepest
+_BLOCK = 4  # steps per call, as between two images
+_IMAGES = 20  # images averaged per state: the force noise at the maximum depth is 50 mN
 _ALL = PHYSICS | CAMERA
 _REAL_GAS = {"polytropic_exponent": 1.4, "heat_exchange": 1.0, "valve_conductance": 1e-7}
 

@@ -63,7 +63,7 @@ AS_BUILT = (
     AsBuilt(707),
     AsBuilt(708),
 )
-DIFFERS = 0.3  # of each number, at most
+DIFFERS = 0.3  # maximum relative deviation of each parameter
 AIR = {"polytropic_exponent": 1.4, "thermal_time_constant_s": 1.0, "leak_mL_s_kPa": 0.01}
 """Gas parameters of the nominal file in addition to those of `dense`."""
 FORCE_REQUESTED = 0.02

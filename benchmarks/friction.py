@@ -39,7 +39,7 @@ EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1)
 _NAMES = {SOME: "some fingers", ALL: "all fingers", MOVES: "distance grows"}
 _AIR = 0.004  # minimum height of the gripper, m
 _CHANGE = 0.15  # minimum relative change of the grip for an answer
-_STICKS, _SLIDES = 0.8, 0.9  # utilization over mu
+_STICKS, _SLIDES = 0.8, 0.9  # limits of sticking and sliding: utilization over mu
 _MIN_ANSWERS = 10
 _WET_SEED = 0
 

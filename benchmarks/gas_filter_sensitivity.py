@@ -27,11 +27,11 @@ CASES = ("dent", "leak", "hole", "warmth", "valve")
 SEEDS = 6
 REST = 1000.0  # gauge pressure without contact, Pa
 NOISE = 3.0  # standard deviation of a reading, Pa
-RATE = 100.0  # Hz, of readings
+RATE = 100.0  # rate of the readings, Hz
 SECONDS = 6.0
-DENT = 0.005  # of the volume, within half a second from 1 s on
-DENT_FRACTION = 0.02  # of a dent, that images have wrong
-IMAGES = 3  # readings to an image
+DENT = 0.005  # indentation as a fraction of the volume, applied from 1 to 1.5 s
+DENT_FRACTION = 0.02  # relative error of an indentation's volume in the images
+IMAGES = 3  # readings per image
 _ALIKE = 0.005
 
 

@@ -15,7 +15,7 @@ from mjtactile.report.figures import new_figure
 from mjtactile.runtime.grasp import GraspResult, run_grasp
 from mjtactile.runtime.progress import Progress
 
-OBJECTS = ("egg", "strawberry", "vial")  # the others that ship are there to be probed
+OBJECTS = ("egg", "strawberry", "vial")  # the other shipped objects are for probing
 SEEDS = range(10)
 
 

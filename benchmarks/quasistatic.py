@@ -194,7 +194,7 @@ def _scatter(grid: tuple[int, int], count: int) -> dict[str, Any]:
     forces: dict[str, list[float]] = {}
     for at in places:
         for name, obstacles in _obstacles(quasistatic, at):
-            found = quasistatic.solve_batch([obstacles])[0].force_normal  # NaN where there is none
+            found = quasistatic.solve_batch([obstacles])[0].force_normal  # NaN: no solution
             forces.setdefault(name, []).append(found)
     return {name: _summary(np.array(values)) for name, values in forces.items()}
 

@@ -17,8 +17,8 @@ AT_ONCE = 64
 
 
 BURSTS, BURSTS_QUICK = 20, 2
-_SECONDS = 1.0  # of two processes at once
-_STEPS = 10  # of a burst, each 0.05 mm deeper
+_SECONDS = 1.0  # duration of two concurrent processes, s
+_STEPS = 10  # steps of a burst, each 0.05 mm deeper
 
 
 def _bowl(numbers: Array) -> Obstacle:

@@ -33,7 +33,7 @@ AFTER = 10.0  # time after the release, s
 _EVERY = 20.0  # interval between measurements, s
 _IMAGES = 5  # averaged for a value, over 0.1 s, since one image alone has a noise of 5 mN
 _GAUGE_SD = 5.0  # noise of the pressure sensor, Pa
-_TIMED = 400  # steps
+_TIMED = 400  # timed steps
 _TURNS = 6
 
 

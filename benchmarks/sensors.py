@@ -53,7 +53,7 @@ def _row(name: str, indenters: tuple[tuple[str, float], ...]) -> dict[str, Any]:
     marker: list[float] = []
     area: list[float] = []
     radius: list[float] = []
-    spent = np.zeros(3)  # ms: drawing, perception, shape
+    spent = np.zeros(3)  # processing times, ms: rendering, perception, shape
     images = shapes = 0
     for number, (kind, size) in enumerate(indenters):
         rng = np.random.default_rng([number, 77])

@@ -55,7 +55,7 @@ SHEAR = 1.5e-3  # shear displacement, m
 INTERVAL = 1 / 30  # image period, s
 STILL_IMAGES = 8
 STILL_INTERVAL = 0.15  # image period, s
-DRIFT = 2e-4  # of the bulge, from image to image: 0.6 K/s
+DRIFT = 2e-4  # relative change of the bulge per image: 0.6 K/s
 REFERENCE_IMAGES = 4
 # relative change of the area that counts
 SIMILAR_AREA = 0.05
@@ -117,7 +117,7 @@ def record(sensor: str, indenter: str, at: tuple[float, float], tilt: float) -> 
         pixels = view.image().pixels
         images.append(Image(pixels, number * INTERVAL))
     p, n = world.marker_poses(0)
-    for number in range(STILL_IMAGES):  # nothing touches while the gas cools
+    for number in range(STILL_IMAGES):  # no contact while the gas cools
         sunk = p * [1.0, 1.0, 1.0 - DRIFT * number]
         time = (len(positions) - 1) * INTERVAL + (number + 1) * STILL_INTERVAL
         images.append(view.renderer.render(sunk, n, time))

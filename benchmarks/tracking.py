@@ -37,7 +37,7 @@ SENSOR = "dense"
 # an error beyond so many sd and px is wrong
 _SD = 6.0
 _FLOOR = 0.05
-_SAME = 3.0  # px, within which two centres are of the same marker
+_SAME = 3.0  # maximum distance of two centers of the same marker, px
 
 Floats = Array
 Notify = Callable[[str], None]

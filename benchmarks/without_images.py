@@ -33,9 +33,9 @@ IMAGES_QUICK = 8
 PAIRS = 200
 PAIRS_QUICK = 1
 OBJECTS = ("egg", "strawberry", "vial")
-_REFERENCES = 10  # images, as a session takes
+_REFERENCES = 10  # images of a reference, as in a session
 _PER_REFERENCE = 5  # images evaluated with the same references
-_OUTLIER = 5.0  # of the marker's own standard deviations
+_OUTLIER = 5.0  # limit of an outlier, in the marker's own standard deviations
 _TIMESTEP = 4e-3
 
 Pose = tuple[Array, Array]

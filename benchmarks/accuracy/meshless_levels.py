@@ -33,7 +33,7 @@ from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID
 from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 
 STEP = 1 / 480  # time step of a rig with quasi-static membranes, s
-FIRST_SEED = 9400  # nothing was fitted or tuned on these
+FIRST_SEED = 9400  # not used for fits or tuning
 PAIRS, PAIRS_QUICK = 12, 1
 QUASISTATIC, SAMPLED = "-mesh", "-mesh,-pipeline"
 _SAMPLES = 400

@@ -14,7 +14,7 @@ from mjtactile.rig.camera_faults import CameraFaults
 
 SEED = 20261
 """Seed of the sampled strengths; strengths of other seeds were used in tuning."""
-_SPREAD = 0.2  # share by which a strength may be another
+_SPREAD = 0.2  # maximum relative change of a strength
 _INTEGERS = ("count", "bits", "quality", "yuyv", "Hz")
 ALWAYS, RUN, REFERENCES = "always", "run", "references"
 """Periods with the fault: references and run, run only, references only."""

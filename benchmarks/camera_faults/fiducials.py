@@ -38,7 +38,7 @@ NAMES = (
     "blacks clipped at 50 DN",
     "whites clipped at 150 DN",
 )
-_TURNS = 3  # of both sensors, in turn, for the time
+_TURNS = 3  # timed runs of both sensors, in turn
 
 
 def run(

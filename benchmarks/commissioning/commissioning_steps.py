@@ -212,7 +212,7 @@ class Day:
         folders = []
         for number, (name, pressure) in enumerate((*_PRESSES, ("still", 2000.0))):
             folders.append(self.folder / name)
-            if folders[-1].exists():  # of a day that was cut off
+            if folders[-1].exists():  # left by an interrupted day
                 continue
             stage = NOTHING
             if name != "still":
@@ -258,7 +258,7 @@ class Day:
             where = self.folder / ("before" if file.name == "bare.toml" else "after") / str(seed)
             kept = where / "felt_less_true.json"
             if not kept.exists():
-                shutil.rmtree(where, ignore_errors=True)  # of a day that was cut off
+                shutil.rmtree(where, ignore_errors=True)  # left by an interrupted day
                 start = time.monotonic()
                 found = self._grasp(sensor, file, seed, where)
                 write_json(kept, {"errors_N": found.tolist(), "seconds": _since(start)})
@@ -309,7 +309,7 @@ def _held_error(
     errors: list[list[float]] = []
     controller = load_controller("gentle")
     with Recorder(where / "recording", header) as recorder:
-        session = Session(rig, threads=0)  # no time-out of a thread that a busy computer keeps
+        session = Session(rig, threads=0)  # no thread, whose timeout a busy computer could exceed
         recorder.start(session)
         session.take_references(recorder)
 

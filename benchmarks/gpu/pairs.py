@@ -28,7 +28,7 @@ from mjtactile.warp.object_mix import random_mix
 NAME = "mjtactile/Grasp-v0"
 SEED = 4000
 RANDOM = "random"
-_STEPS = 520  # of an episode
+_STEPS = 520  # control steps of an episode
 _AFTER = (1.0, -0.75, -1.0)  # action after the last command: open
 
 

@@ -24,7 +24,7 @@ _EXAMPLE = Path(__file__).resolve().parents[2] / "examples/many_worlds.py"
 _TIPS = ("left", "right")
 _GRID = (21, 16)
 _HALF = (0.02, 0.015)  # half-extents of the taxels, m
-_DEPTH = 0.003  # of the pad, which is as high as a membrane's bulge, m
+_DEPTH = 0.003  # depth of the pad, m; its height is that of a membrane's bulge
 _CLOSED = 0.0195  # goal of the jaws, m: pads and membranes touch the egg
 
 

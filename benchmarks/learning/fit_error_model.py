@@ -120,7 +120,7 @@ def fit(rows: Rows) -> SensingErrorModel:
     # white noise: var(b - (a + c) / 2) is 3/2 of var(b)
     noise = _median_at(np.abs(deviation.mean(axis=0)), near[average]) / _MEDIAN / math.sqrt(1.5)
     fresh = np.minimum(noise, sd)
-    # a step that stays is none
+    # a lasting step is no single error
     jumps = np.where(deviation[0] * deviation[1] > 0, np.abs(deviation).min(axis=0), 0.0)
     jumps = jumps / (near[average] @ fresh)
     out = np.asarray((jumps > _OUTLIER).any(axis=1))
@@ -258,7 +258,7 @@ def _by_grasps(left: Array, near: Array, rows: Rows) -> tuple[Array, Array, Arra
     z = off / (near @ sd)
     spread = _typical(z, near, rows, _logarithm, np.std)[:, 0]
     spread[0] = 0.0  # errors without a load have no factor
-    rms = np.exp(spread**2)  # of a factor, over its median
+    rms = np.exp(spread**2)  # rms of a log-normal factor over its median
     return mean, rms[:, None] * sd, _between(z, rows) / (near @ rms), spread
 
 

@@ -41,8 +41,8 @@ PAIRS, PAIRS_QUICK = 100, 1
 EPISODES, EPISODES_QUICK = 4, 1
 TOGETHER = 8
 MANY = 64
-FIRST_SEED = 9000  # of pairs: nothing was fitted or tuned on these
-_STEPS, _STEPS_QUICK = 224, 30  # of those together: a grasp and the reset after it
+FIRST_SEED = 9000  # first seed of the pairs, not used for fits or tuning
+_STEPS, _STEPS_QUICK = 224, 30  # steps of each environment: a grasp and the next reset
 _FORCE = 0.6  # grip force of the policy, N
 
 Notify = Callable[[str], None]

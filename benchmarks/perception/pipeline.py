@@ -32,7 +32,7 @@ from mjtactile.sensing.surface.surface import Spline, grid_of
 _BALL = 0.010
 _DEEP = 0.003
 _PRESSURE_OVER_TENSION = 20.0
-_CELLS = 96  # of the relaxation, along the length
+_CELLS = 96  # cells of the relaxation along the length
 _MIN_PX = 4.0  # minimum radius of circles; the blob detector has an area limit as well
 # rows, columns, radius m
 _LAYOUTS = ((4, 4, 0.0015), (8, 10, 0.0010), (11, 14, 0.0007), (14, 18, 0.0006))

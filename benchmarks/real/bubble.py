@@ -29,7 +29,7 @@ AMBIENT = 98_700.0
 OUTLINE = np.array([[-27, -36], [62, -36], [62, 40], [-27, 40]]) * 1e-3
 """Outline of the visible bubble in the camera's frame, m; the image cuts off its right end."""
 DEPTHS = (0.055, 0.11)  # depth range of the bubble, m; other points are missing or background
-REST = (0, 10, 20, 40)  # rows of nothing touching
+REST = (0, 10, 20, 40)  # rows without contact
 QUIET = slice(30, 60)  # rows before the touch, with the arm where it presses
 PRESSING = slice(70, 101)  # rows of the hold
 LOADING = 72  # last row that the factor is fitted to

@@ -28,7 +28,7 @@ from mjtactile.recording.files import write_json
 from mjtactile.sensing.pose.dot_tracking import CUT
 
 EVERY = 8  # one frame of this many is evaluated
-NEAR = 0.3  # of the dots' distance, from where the lattice has one
+NEAR = 0.3  # maximum distance from a lattice point, as a fraction of the dots' distance
 RIM = 1.5  # minimum distance of a whole dot from the image border, px
 SIGNS = ("relaxes", "wanders")
 """Slip indicators of the common motion of all dots: the fraction of the peak by which it has
@@ -124,7 +124,7 @@ def dots_of(tracked: TrackedCircles) -> NDArray[np.int64]:
     )
 
 
-IMAGE_SIZE = (320, 240)  # px, of these recordings
+IMAGE_SIZE = (320, 240)  # image size of these recordings, px
 
 
 def lattice(places: Array) -> tuple[Array, float]:

@@ -24,7 +24,7 @@ FORCE_MIN = 0.04
 FORCE_SD = 3.0
 ESTIMATE = "estimated normal force"
 """Kind of the numbers whose reference is the simulated force."""
-_IMAGES = 3  # a camera that runs: bars are wide in the image in which the force has just changed
+_IMAGES = 3  # images per load: the sd is inflated in the first image after a change of the force
 # steps over which a force at rest is averaged: the solver's tolerance rocks it by 0.3-0.5 %
 _REST = 20
 

@@ -89,11 +89,11 @@ def servo_answer(rng: random.Random, question: bytes) -> tuple[bytes, bool]:
     if kind == 2:  # an intact packet of the wrong length, servo or instruction
         data = payload(rng.choice(SERVOS))[: rng.randrange(SIZE)]
         return p2.status(rng.choice((*SERVOS, 7, 253)), rng.randrange(128), data), True
-    if kind == 3:  # a header that promises more than comes
+    if kind == 3:  # a header with a larger length than the packet
         return p2.HEADER + bytes([rng.choice(SERVOS)]) + rng.randrange(1, 1 << 16).to_bytes(
             2, "little"
         ) + rng.randbytes(60), True
-    if kind == 4:  # packets cut into each other
+    if kind == 4:  # interleaved packets
         cut = rng.randrange(1, len(packets[0]))
         return packets[0][:cut] + packets[1][cut // 2 :] + packets[0][cut:], True
     return b"".join(damage(rng, packet) for packet in packets) * rng.randrange(1, 8), True
@@ -107,7 +107,7 @@ def fuzz_servos(count: int, seed: int = 0) -> dict[str, Any]:
     """
     adversary = Adversary(servo_answer, seed)
     bus = DynamixelBus(adversary.port.path, reply_timeout=0.002)
-    # bad bytes are to be refused, not a computer that is busy for 0.1 s
+    # reject bad bytes, not a computer that is busy for 0.1 s
     bus._port.ser.write_timeout = 10.0
     tally: dict[str, Any] = {
         "bytes": 0,

@@ -89,7 +89,7 @@ class SoakBench(KeptBench):
         kind, at = sampled(number, self.leg, self._grip)
         bench = self.bench()
         folder = self._out / f"leg-{number:03d}"
-        shutil.rmtree(folder, ignore_errors=True)  # of an interrupted run
+        shutil.rmtree(folder, ignore_errors=True)  # left by an interrupted run
         leg = _Leg(bench, kind, at, self._grip)
         with Recorder(folder, {"controller": "soak", "fault": kind}, frames=_FRAMES) as recorder:
             outcome = drive(

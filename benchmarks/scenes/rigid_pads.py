@@ -14,7 +14,7 @@ from mjtactile.sim.attach import configure_options
 from mjtactile.sim.scenes.objects import add_object, load_object
 from mjtactile.sim.scenes.world import World
 
-SITES = ("left_fingertip", "right_fingertip")  # of the shipped gripper
+SITES = ("left_fingertip", "right_fingertip")  # sites of the shipped gripper
 _GRID = (9, 9)  # taxels, as many as the dense sensor has markers
 TOUCH_GRID = "mujoco.sensor.touch_grid"
 

@@ -279,5 +279,5 @@ _HIGH = 0.5
 _JAW_DISTANCE = 0.04
 _FILLING = 0.3
 _HALF_FACE = 0.004  # half the thickness of a face, m
-_OFF_CENTER = 0.005  # of the face along y, m: seams do not pass through the center
+_OFF_CENTER = 0.005  # offset of the face along y, m: seams do not pass through the center
 _DRIVE = 200.0  # gain of the slide's drive, N s/m

@@ -17,7 +17,7 @@ from mjtactile.quasistatic import MembraneSolution, Obstacle, obstacle
 from mjtactile.quasistatic.interpolation import interpolation_matrix
 
 FIRST_SEED = 6000  # not used for tuning
-OBJECTS, OBJECTS_QUICK = 5, 1  # of each kind
+OBJECTS, OBJECTS_QUICK = 5, 1  # objects of each kind
 _GRID = (61, 46)
 _NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one image of `dense`, m
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3

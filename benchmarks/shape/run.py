@@ -37,9 +37,9 @@ INDENTERS, INDENTERS_QUICK = 20, 2
 MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
 _FORCE_MIN, _MAX_FORCE = 0.06, 1.5  # range of evaluated forces, N
-_HELD = 4  # images
+_HELD = 4  # images of the hold
 _DRAG = 1e-3  # maximum drag displacement, m
-_DRAGGED = (0.5, 1.0)  # of it
+_DRAGGED = (0.5, 1.0)  # evaluated fractions of the drag
 
 Notify = Callable[[str], None]
 

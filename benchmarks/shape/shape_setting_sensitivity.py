@@ -35,7 +35,7 @@ _CLOSE = "".join(
 )
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3]) * 1e-3  # depths of the load, m
 _MAX_FORCE = 1.5  # force limit, N
-_HELD = 20  # images
+_HELD = 20  # images of the hold
 _SIMILAR_AREA = 0.05
 
 

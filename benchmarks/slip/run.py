@@ -30,7 +30,7 @@ from mjtactile.sensing.pipeline_state import PipelineState
 FIRST_SEED = 2000
 CASES = 200
 CASES_QUICK = 4
-RATES = (30.0, 60.0)  # Hz, of cameras
+RATES = (30.0, 60.0)  # rates of the cameras, Hz
 SENSOR = "dense"
 PARTS = ("passive", "tested")
 """Parts: passive slip indicators alone; and with the test, which changes the grip, in a separate

@@ -30,7 +30,7 @@ from mjtactile.runtime.session import open_session
 MESHES = ((9, 7), (11, 9), (13, 11), (17, 13), (21, 17), (25, 21), (31, 25))
 TIMESTEPS = (1 / 240, 1 / 180, 1 / 150, 1 / 125)
 CAMERA_RATE = 60.0  # Hz
-SEED = 0  # of the grasp
+SEED = 0  # seed of the grasp
 
 
 def run(out: Path, quick: bool = False, against: Path | None = None) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def _compare(case: Case) -> dict[str, Any]:
     """Run at the step and at a quarter of it; errors of the first run propagate."""
     full = measure(case)
     problems = dict(full.pop("problems"))
-    if case.kind != "hold":  # a million steps are evaluated by themselves
+    if case.kind != "hold":  # a million steps run without comparison
         try:
             quarter = measure(replace(case, timestep=max(case.timestep / 4, 1.25e-4)))
         except SimulationError as error:

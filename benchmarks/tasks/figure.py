@@ -15,7 +15,7 @@ _STYLES = {
     "gentle": ("#d08020", "gentle: touch, always 0.6 N"),
     "touchless": ("#c0221c", "touchless: servo current only"),
 }
-_STEP = 0.15  # of a task's row
+_STEP = 0.15  # distance of the dots, as a fraction of a task's row
 
 
 def plot(result: Mapping[str, Any], path: Path) -> None:

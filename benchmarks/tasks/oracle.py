@@ -34,7 +34,7 @@ PULL_ESTIMATE = (
 )
 _MOMENTS = 26
 _FORCE_MIN = 0.15  # minimum grip force that can be regulated, N
-_MAX_LEVER = 3.0  # of a torque about the grip, in the need
+_MAX_LEVER = 3.0  # maximum factor of a torque about the grip on the required force
 
 
 def step(observation: Observation) -> Command:

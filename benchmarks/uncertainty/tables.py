@@ -10,7 +10,7 @@ import numpy as np
 # minimum true force of a touch, N; maximum true force without a touch, N
 FORCE_MIN = 0.02
 NOTHING = 1e-3
-FAR = 5.0  # standard deviations that none may be off
+FAR = 5.0  # maximum error, in standard deviations
 COARSE = ("sharp_edge", "small_feature")
 """Flags of a mesh that is too coarse for the indenter: the true force is then that of vertices."""
 UNSURE = ("penetration", "wrinkles")
