@@ -83,7 +83,8 @@ class IncrementalMembrane:
         return MembraneStatus(int(self.found[STATUS]))
 
     def go_to_pressure(self, gauge_pressure: float) -> MembraneStatus:
-        """Come to rest at a gauge pressure that may be far from the present one, in small steps."""
+        """Change to a gauge pressure that may differ much from the present one, in small steps to
+        equilibrium."""
         start = float(self.found[PRESSURE])
         count = max(1, int(np.ceil(abs(gauge_pressure - start) / _RAMP)))
         status = MembraneStatus.CONVERGED

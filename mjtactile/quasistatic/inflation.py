@@ -94,7 +94,7 @@ def _low_bulge(membrane: QuasistaticMembrane) -> Array:
 
 
 def _keep(membrane: QuasistaticMembrane, x: Array) -> None:
-    """Factors of the stiffness at displacements `x`, for all solutions that follow."""
+    """Store the factors of the stiffness at displacements `x` for all later solutions."""
     fixed = (membrane._constants, membrane._law, *membrane.grid)
     given = (x, membrane._room.size, membrane._room, membrane._kept.size, membrane._kept)
     kernel("qs_factorize")(*fixed, *given)

@@ -396,7 +396,7 @@ class QuasistaticMembrane:
 
     @validated()
     def stiffness_factor(self, state: MembraneSolution) -> Array:
-        """Factor the stiffness of the membrane in a state, with gas at constant pressure.
+        """Factorize the stiffness of the membrane in a state, with gas at constant pressure.
 
         Args:
             state: Equilibrium.

@@ -33,7 +33,7 @@ _STANDS = 2e-3  # maximum height change of an object that stands, m
 @dataclass
 class GraspScore:
     """Watches a world at every physics step. A phase counts from the image after the command that
-    began it."""
+    started it."""
 
     world: GraspWorld
     task_scorer: TaskScorer | None = None

@@ -49,7 +49,7 @@ class Data:
         return cls(markers.ids, heights, _whitening(sd, common), touch.force_normal)
 
     def residual(self, heights: Array) -> Array:
-        """Whitened residual (n,) of markers predicted at `heights` (N,)."""
+        """Return the whitened residual (n,) of markers predicted at `heights` (N,), m."""
         return self.root @ (heights[self.ids] - self.heights)
 
 
@@ -72,8 +72,8 @@ class Prior:
 
     @classmethod
     def of(cls, family: ShapeModel, start: Array) -> Prior:
-        """Before any image, where a fit begins at `start` (k,): no direction is likelier than
-        another."""
+        """Create the prior before any image. A fit starts at `start` (k,), and all directions are
+        equally likely."""
         turns = [name in ("direction", "angle") for name in family.names]
         return cls(np.where(turns, start, family.mean) / family.sd, np.eye(len(family.sd)))
 

@@ -66,7 +66,7 @@ class ForwardModel:
 
     @cached_property
     def by_gas(self) -> Array:
-        """Return the derivative (N,), m, of the marker heights by the relative excess of gas."""
+        """Derivative (N,), m, of the marker heights by the relative excess of gas."""
         membrane = self.membrane
         if not membrane.sealed:
             return np.zeros(len(self.rest_heights))
@@ -110,16 +110,17 @@ class ForwardModel:
     def answers(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
-        """Approximate the changes of marker heights (n, N), m, and normal force (n,), N. The
-        changes are from a state on the first of `bodies` to the others. Each of the others is one
-        of `steps` (n,) further (`film.derivatives.answered`)."""
+        """Approximate the derivatives of marker heights (n, N), m, and normal force (n,), N, by the
+        parameters (`approximate_sensitivities`). The state is on the first of `bodies`. Each other
+        one is one of `steps` (n,) further."""
         by_z, by_force = approximate_sensitivities(self.membrane, state, *self._rows(bodies), steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 
     def derivatives(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
-        """The same exactly, and of all that is added up (n, 8) (SUMS)."""
+        """Compute the exact derivatives of marker heights (n, N), m, and of the sums (n, 8) (SUMS),
+        by the parameters. See `answers`."""
         by = sensitivities_of(self.membrane, state, *self._rows(bodies), steps)
         sums = np.column_stack([by.wrench, by.gauge_pressure, by.area])
         return self.heights(by.displacements), sums

@@ -61,16 +61,17 @@ class ArmPath:
     them."""
 
     def at(self, height: float) -> Array:
-        """Goals (a,) for a height."""
+        """Return the actuator goals (a,) for a height, m."""
         return _interpolated_row(self.heights, self.goals, height)
 
     def qpos(self, height: float) -> Array:
-        """Coordinates (nq,) of the planned model for a height; only the arm's are of use."""
+        """Return the coordinates (nq,) of the planned model for a height, m. Only the arm's are
+        valid."""
         return _interpolated_row(self.heights, self.joints, height)
 
 
 def missing_names(spec: mujoco.MjSpec, rig: SimRigFile) -> Iterator[InputError]:
-    """An error for each name of the rig file that the MJCF does not have."""
+    """Yield an error for each name of the rig file that the MJCF lacks."""
     required = [("site", finger.site, f"finger[{i}].site") for i, finger in enumerate(rig.fingers)]
     required += [
         ("actuator", a.name, f"gripper.actuator[{i}].name")
@@ -368,7 +369,8 @@ def arm_joints(model: mujoco.MjModel, gripper: int) -> list[int]:
 
 
 def _goal_under_gravity(data: mujoco.MjData, actuator: PositionActuator) -> float:
-    """The goal that holds the present length against weight and springs; after `mj_fwdVelocity`."""
+    """Return the goal that holds the current length against weight and springs, after
+    `mj_fwdVelocity`."""
     gears = actuator.gears
     if not len(gears):
         return float(data.actuator_length[actuator.id])
@@ -377,7 +379,7 @@ def _goal_under_gravity(data: mujoco.MjData, actuator: PositionActuator) -> floa
 
 
 def _interpolated_row(heights: Array, rows: Array, height: float) -> Array:
-    """The row for a height, linear between the rows of evenly spaced `heights`."""
+    """Interpolate linearly between the rows of evenly spaced `heights`."""
     index = min(max(height / (heights[1] - heights[0]), 0.0), len(heights) - 1.0)
     low = min(int(index), len(heights) - 2)
     return rows[low] + (index - low) * (rows[low + 1] - rows[low])
