@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv  # pyright: ignore[re
 from mjtactile.gym.wrappers import ActionRepeatScaling, save_policy
 
 ENVIRONMENTS = 8  # a process each: with fewer, a core waits while another starts an episode
-DECISIONS = 32  # of each environment between two updates: about a grasp
+DECISIONS = 32  # steps of each environment between two updates: about one grasp
 
 
 def make():
@@ -67,7 +67,8 @@ def save(model, path):
 
 
 def main(path="policy.npz", seconds="600", seed="0"):
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # of the processes: threads fight for the cores
+    # one thread per process: more would compete for the cores
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     torch.set_num_threads(1)
     envs = SubprocVecEnv([make] * ENVIRONMENTS)
     net = {"net_arch": [32, 32], "log_std_init": -1.0}

@@ -20,7 +20,7 @@ import mjtactile
 binding_utils.MjModel.jnt_type = property(lambda model: model._model.jnt_type.tolist())
 binding_utils.MjData.qM = property(lambda data: data._data)
 controller.mujoco = SimpleNamespace(mj_fullM=lambda model, M, data: mujoco.mj_fullM(model, data, M))
-PandaGripper.speed = 0.05  # of its way in each action
+PandaGripper.speed = 0.05  # fraction of its stroke per action
 
 
 class TouchLift(Lift):
@@ -54,7 +54,7 @@ observation = env.reset()
 close = lift = 0.0
 while lift < 0.1:
     way = observation["cube_pos"] - observation["robot0_eef_pos"] + [0, 0, 0.012]
-    way[2] += lift + 2 * np.hypot(*way[:2])  # down as it comes over the cube
+    way[2] += lift + 2 * np.hypot(*way[:2])  # descends over the cube
     close = close or float(np.linalg.norm(way) < 4e-3)
     grip = close * float(observation["force_normal"].mean() < 1.0)
     lift += 0.01 * (close - grip)

@@ -9,7 +9,7 @@ import mjtactile.studio
 class Tips(mjtactile.studio.Sensors):
     """Sensors in the scene, and the source of its steps."""
 
-    # of your model, and the sensor that is put there: a shipped name or a file
+    # sites of your model, each with the sensor on it: a shipped name or a file
     sites = {"fingertip": "dense"}
 
 

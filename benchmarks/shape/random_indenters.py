@@ -66,9 +66,8 @@ def _ball(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
 
 def _ellipsoid(rng: np.random.Generator, name: str, at: tuple[float, float]) -> Case:
     c = float(rng.uniform(8e-3, 20e-3))
-    a, b = np.sqrt(
-        c / rng.uniform(20.0, SHARP, 2)
-    )  # half-axes from curvatures below those of edges and tips
+    # half-axes from curvatures below those of edges and tips
+    a, b = np.sqrt(c / rng.uniform(20.0, SHARP, 2))
     angle = float(rng.uniform(0, np.pi))
     rotation = f'euler="0 0 {np.degrees(angle)}"'
     geoms = f'<geom type="ellipsoid" size="{a} {b} {c}" {rotation}/>'

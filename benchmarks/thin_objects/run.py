@@ -24,9 +24,8 @@ _GRID = (81, 61)
 _COARSER = ((61, 46), (41, 31))  # for wires, which have no equilibrium on the finest grid
 _AROUND = 3e-3  # maximum distance of positions from the center along x and y, m
 _SEED = 20
-_ARC = np.radians(
-    np.linspace(-45, 45, 13)
-)  # part of a wire's circumference that a membrane can touch
+# part of a wire's circumference that a membrane can touch
+_ARC = np.radians(np.linspace(-45, 45, 13))
 _FLANK = 3e-3  # length of the flanks that extend a wire, m, so that it covers nodes
 
 Notify = Callable[[str], None]

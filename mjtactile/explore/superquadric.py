@@ -19,7 +19,7 @@ flat end."""
 UNCUT = 1.3  # cut of a shape without a flat end
 LOW = np.array([-200.0] * 3 + [-7.0] * 3 + [0.7] * 3 + [0.05] * 2 + [-0.8] * 2 + [0.2])
 HIGH = np.array([200.0] * 3 + [7.0] * 3 + [4.2] * 3 + [1.5] * 2 + [0.8] * 2 + [UNCUT + 0.2])
-STEP = np.array([1e-3] * 3 + [1e-4] * 11)  # of finite differences
+STEP = np.array([1e-3] * 3 + [1e-4] * 11)  # step of finite differences
 _TINY = 1e-9
 
 

@@ -15,7 +15,7 @@ from mjtactile.fabrication.layered_solid import Contour, Traced
 
 _PAPERS = ((210.0, 297.0), (297.0, 210.0), (297.0, 420.0), (420.0, 297.0))
 _BORDER = 12.0  # mm that printers leave white, and the text needs
-BAR = 100.0  # mm, of the scale bar where there is room for it
+BAR = 100.0  # maximum length of the scale bar, mm
 HEAD = 24.0  # mm of the page for the title
 FOOT = 26.0  # mm of the page for the scale bar
 _STYLES = {
@@ -200,7 +200,7 @@ def _plot_shape(axes: Any, shape: DrawingShape) -> None:
     from matplotlib.patches import Circle, FancyBboxPatch, Polygon, Rectangle
 
     fill, stroke, width = _STYLES[shape.style]
-    points = 72 / 25.4  # in a mm
+    points = 72 / 25.4  # points per mm
     paint = {"fc": fill or "none", "ec": stroke or "none", "lw": width * points}
     c = shape.contour
     if shape.text:

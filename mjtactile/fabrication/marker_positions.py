@@ -22,7 +22,7 @@ _BALL = 0.008  # indenter radius, m; limited to a quarter of the frame's shorter
 # indentation depth, m, and its limit as a fraction of the chamber's depth and of the shorter side
 _DEPTH = 0.004
 _DEPTH_FRACTION = 0.25
-_STEPS = 4  # of an indentation
+_STEPS = 4  # steps of an indentation
 SERVO_FORCE = 2.5
 """Largest force of the servo in the bill, N."""
 _FORCE_STEP = 5e-4  # depth step of the search for a force, m
