@@ -165,6 +165,14 @@ int64_t fit_profiles(const float *image /* height, width */, int64_t height, int
                      double *shapes /* n, 3 */, const double *settings /* 10 */, double *cov /* n, 5, 5 */,
                      double *levels /* 2, n */, double *found /* 5, n */);
 
+/* Fit ellipses to the pixels of the bands along their edges (sensing/image/edge_fit.py). `counts` of
+   pixels per marker, whose coordinates are relative to its origin. `settings`: see edge_fits.c.
+   `thetas`, the parameters, are updated in place. Out: `normals`, normal matrices; `sums` of weight,
+   of weighted residual and of weighted squared residual, and the last change of center and shape. */
+int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts /* n */, const float *x /* all */, const float *y /* all */,
+                  const float *observed /* all */, const double *settings /* 8 */, double *thetas /* n, 10 */,
+                  double *normals /* n, 10, 10 */, double *sums /* n, 4 */);
+
 /* Estimate circle poses from ellipses (sensing/pose/circles.py). `camera`: see optics.h. `covs`:
    covariances of (u, v, a, b, angle). Out: `uv`, px, of the center; `poses`: center and normal of
    the preferred pose, then of the other; `cov_p`, covariance of the center. */

@@ -115,15 +115,11 @@ class NeighborMarkers:
         if len(center) < 2:
             return cls(center, shape, near, s.neighbour_margin)
         extent = np.hypot(shape[:, [0, 2]], shape[:, 1:2]).max(axis=1)
-        # lazily: a tenth of a second, and only small markers need it
-        from scipy.spatial import KDTree
-
-        pairs = KDTree(center).query_pairs(
-            2 * extent.max() + width + s.neighbour_margin, output_type="ndarray"
-        )
-        i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
+        own = extent[:count]
+        reach = own + np.minimum(s.max_size_ratio * own, extent.max()) + width
+        i, j = pairs_within(center, center[:count], reach + s.neighbour_margin)
         distance = np.hypot(*(center[i] - center[j]).T)
-        close = (i < count) & (distance < extent[i] + extent[j] + width + s.neighbour_margin)
+        close = distance < (extent[i] + extent[j] + width + s.neighbour_margin)
         # exclude the marker itself, and objects it lies on, such as a sheet of paper
         close &= (distance > np.maximum(extent[i], s.min_distance_fraction * extent[j])) & (
             extent[j] < s.max_size_ratio * extent[i]
@@ -151,3 +147,16 @@ class NeighborMarkers:
             p, q, s = grown[at].T
             clear[some] &= (p * dx + q * dy) ** 2 + (q * dx + s * dy) ** 2 > 1
         return clear
+
+
+def pairs_within(points: Array, centers: Array, radii: Array) -> tuple[NDArray, NDArray]:
+    """Return the pairs (i, j) of `centers` (N, 2) and other `points` (M, 2) within `radii` (N,).
+    The centers are the first N points. One large radius does not make pairs of all others."""
+    # lazily: a tenth of a second, and only small markers need it
+    from scipy.spatial import KDTree
+
+    found = KDTree(points).query_ball_point(centers, radii)
+    counts = np.fromiter(map(len, found), np.int64, len(found))
+    i = np.repeat(np.arange(len(found)), counts)
+    j = np.fromiter((k for row in found for k in row), np.int64, int(counts.sum()))
+    return i[i != j], j[i != j]

@@ -10,7 +10,8 @@ pixel and the softening below. For large markers F = Phi(-(n + kappa sigma^2/2)/
 the outward distance and kappa the edge curvature. The blurred curved edge has its 50 % level
 further inward. In the paper's geometry this changes the depth by 41 um. For small markers F is
 integrated. Ten parameters per marker: center, shape, inside, outside, gradient g of the light,
-sigma. The solver is Gauss-Newton with robust weights.
+sigma. The solver is Gauss-Newton with robust weights. The arithmetic is in
+mjtactile/kernels/edge_fits.c; `edge_model` has the model in numpy.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
+from mjtactile.kernels import kernel
 from mjtactile.sensing.image import ellipse
 from mjtactile.sensing.image.edge_bands import NeighborMarkers, Pixels, band
-from mjtactile.sensing.image.edge_model import model
 from mjtactile.sensing.settings import DEFAULTS, EdgeSettings
 
 PARAMETERS = 10
@@ -34,6 +35,7 @@ SOFTEN = np.array([0.2, 0.6, 0.2])
 SOFTEN_VARIANCE = 0.4  # px^2 per axis
 _PIXELS_AT_ONCE = 30_000  # a working set that stays in the processor's cache
 _PIXELS_FIRST = 170  # pixels per marker for the first steps and for the normal matrix
+_CONVERGED = 0.005  # px: the largest step after which all pixels are used
 _SETTLED = 0.05  # px: the largest last step of a fit that has converged
 UNSETTLED = 1e3  # gray levels added to the residual of unconverged fits, so that they are rejected
 
@@ -68,18 +70,6 @@ class _KnownBlur:
 
     sigma: float
     weight: float
-
-    def normal(
-        self, pixels: Pixels, theta: Array, J: NDArray, residual: NDArray, weight: NDArray
-    ) -> tuple[Array, Array]:
-        """Return the normal matrix (n, 10, 10) and right-hand side (n, 10) of pixels and prior."""
-        H = normal_matrix(pixels, J, weight)
-        right = pixels.sums(J * (weight * residual)).T
-        if self.weight:
-            pull = self.weight * pixels.sums(weight * residual * residual) / pixels.counts
-            H[:, -1, -1] += pull
-            right[:, -1] += pull * (self.sigma - theta[:, -1])
-        return H, right
 
 
 def fit(
@@ -167,8 +157,7 @@ def _fit_some(
     s: EdgeSettings,
 ) -> EdgeFit:
     """Fit markers of similar size by Gauss-Newton. The first steps use a subset of the pixels. The
-    last two use all, with one normal matrix between them (the fixed point does not depend on
-    it)."""
+    last two use all."""
     small = bool(
         (shape[:, 0] * shape[:, 2] - shape[:, 1] ** 2).min()
         < (s.small_radius * max(blur.sigma, 1)) ** 2
@@ -180,30 +169,32 @@ def _fit_some(
     theta[:, 2:5] = shape
     theta[:, 5], theta[:, 6] = _levels(image, center, shape)
     theta[:, 9] = blur.sigma
-    stride = int(max(1, pixels.counts.mean() // _PIXELS_FIRST))
-    some = pixels.every(stride)
-    J = np.empty((PARAMETERS, len(some.x)), np.float32)
-    for k in range(iterations - 2):
-        residual = some.observed - model(some, theta, J, small)
-        weight = _robust(some, residual, theta, s) if k else np.ones_like(residual)
-        old = theta
-        theta = _step(theta, *blur.normal(some, theta, J, residual, weight))
-        if k and np.abs(theta - old)[:, :5].max() < _SETTLED:
-            break
-    J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
-    H = np.zeros(0)
-    residual = pixels.x
-    weight = pixels.x
-    old = theta
-    for _ in range(2):
-        residual = pixels.observed - model(pixels, theta, J, small)
-        weight = _robust(pixels, residual, theta, s)
-        H, right = blur.normal(pixels, theta, J, residual, weight)
-        old = theta
-        theta = _step(theta, H, right)
-    wrong = (np.abs(theta - old)[:, :5].max(axis=1) > _SETTLED) | (theta[:, 9] < s.sharpest)
-    residual[np.repeat(wrong, pixels.counts)] += UNSETTLED
-    return _result(theta, H, residual, weight, pixels, used, origin, s.covariance_factor)
+    H, sums = fit_pixels(pixels, theta, blur, iterations - 2, small, s)
+    wrong = (sums[:, 3] > _SETTLED) | (theta[:, 9] < s.sharpest)
+    kept, plain, square, _ = sums.T
+    square = square + wrong * (2 * UNSETTLED * plain + UNSETTLED**2 * kept)
+    return _result(theta, H, kept, square, used, origin, s.covariance_factor)
+
+
+def fit_pixels(
+    pixels: Pixels, theta: Array, blur: _KnownBlur, steps: int, small: bool, s: EdgeSettings
+) -> tuple[Array, Array]:
+    """Fit the parameters `theta` (n, 10) of n markers to their pixels, in place, by up to `steps`
+    steps with a subset of the pixels, and two with all.
+
+    Returns:
+        Normal matrices (n, 10, 10). Sums (n, 4) of weight, weighted residual and weighted squared
+        residual; last change of center and shape, px.
+    """
+    n = len(theta)
+    stride = max(1, int(pixels.counts.mean()) // _PIXELS_FIRST)
+    outliers = (s.outlier_residuals, s.outlier_fraction)
+    settings = np.array([small, stride, steps, blur.sigma, blur.weight, _CONVERGED, *outliers])
+    H = np.empty((n, PARAMETERS, PARAMETERS))
+    sums = np.empty((n, 4))
+    observed = (len(pixels.x), pixels.counts, pixels.x, pixels.y, pixels.observed)
+    kernel("fit_edges")(n, *observed, settings, theta, H, sums)
+    return H, sums
 
 
 def gather(
@@ -245,51 +236,18 @@ def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
     return H.transpose(2, 0, 1).copy()
 
 
-def _robust(pixels: Pixels, residual: NDArray, theta: Array, s: EdgeSettings) -> NDArray:
-    """Return weights 1/(1 + (r/c)^4): one for most pixels, falling fast for glare, specks and
-    neighbors. c is `outlier` times the marker's rms residual, but at least a fraction of its
-    contrast. Effects of lens or camera sharpening that the model does not contain are not
-    outliers."""
-    scale = np.maximum(
-        s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
-        s.outlier_fraction * np.abs(theta[:, 5] - theta[:, 6]),
-    )
-    t = residual * pixels.spread(1 / np.maximum(scale, 1e-3))
-    t *= t
-    t *= t
-    t += 1
-    return 1 / t
-
-
-def _step(theta: Array, H: Array, gradient: Array) -> Array:
-    """Take one damped Gauss-Newton step, limited so that a bad start does not diverge."""
-    diagonal = np.arange(PARAMETERS)
-    damped = H.copy()
-    damped[:, diagonal, diagonal] = damped[:, diagonal, diagonal] * (1 + 1e-6) + 1e-9
-    step = np.linalg.solve(damped, gradient[..., None])[..., 0]
-    step[:, :5] = np.clip(step[:, :5], -1.5, 1.5)
-    new = theta + step
-    new[:, 9] = np.clip(new[:, 9], 0.3, 8.0)
-    small = np.linalg.norm(theta[:, 2:5], axis=1) * 0.2
-    bad = ~np.isfinite(new).all(axis=1) | (new[:, 2] * new[:, 4] - new[:, 3] ** 2 <= small**2 * 0.1)
-    bad |= (new[:, 2] <= 0) | (new[:, 4] <= 0)
-    return np.where(bad[:, None], theta, new)
-
-
 def _result(
     theta: Array,
     H: Array,
-    residual: NDArray,
-    weight: NDArray,
-    pixels: Pixels,
+    kept: Array,
+    square: Array,
     used: NDArray,
     origin: Array,
     coloured: float,
 ) -> EdgeFit:
     diagonal = np.arange(PARAMETERS)
     H[:, diagonal, diagonal] = H[:, diagonal, diagonal] * (1 + 1e-9) + 1e-9
-    kept = pixels.sums(weight)
-    variance = pixels.sums(weight * residual * residual) / np.maximum(kept - PARAMETERS, 1)
+    variance = square / np.maximum(kept - PARAMETERS, 1)
     cov = np.linalg.inv(H)[:, :5, :5] * (coloured * variance)[:, None, None]
     cov = (cov + cov.transpose(0, 2, 1)) / 2
     lost = 1 - kept / np.maximum(used, 1)

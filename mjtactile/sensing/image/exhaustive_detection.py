@@ -16,11 +16,11 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from mjtactile.core.types import Array, Ellipses, Image
 from mjtactile.sensing.image import candidates, edge_fit, ellipse, markers
 from mjtactile.sensing.image.candidates import Candidates
+from mjtactile.sensing.image.edge_bands import pairs_within
 from mjtactile.sensing.image.ellipse_fit import as_ellipses, fit_candidates, sound
 from mjtactile.sensing.image.fit_validation import NOT_ELLIPSE, TEXTURE, implausible, validate_fits
 from mjtactile.sensing.image.outline_residual import is_blob, outline_residual
@@ -165,8 +165,8 @@ def _new(
     center = all_of_them.center
     xx, xy, yy = ellipse.inverse_shape(all_of_them.shape).T
     size = np.sqrt(all_of_them.shape[:, 0] * all_of_them.shape[:, 2])
-    pairs = KDTree(center).query_pairs(float(size.max(initial=0.0)), output_type="ndarray")
-    i, j = np.concatenate([pairs, pairs[:, ::-1]]).T
+    reach = s.inside_ratio * ellipse.axes_from_shape(all_of_them.shape)[0][:, 0]
+    j, i = pairs_within(center, center, np.minimum(reach, size.max(initial=0.0)))
     dx, dy = (center[i] - center[j]).T
     inside = np.hypot(xx[j] * dx + xy[j] * dy, xy[j] * dx + yy[j] * dy) < s.inside_ratio
     ratio = size[j] / size[i]

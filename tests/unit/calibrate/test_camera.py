@@ -200,11 +200,14 @@ def test_live_through_a_stream(photos, tmp_path, capsys):
     thread.start()
     lines = []
     inside = False
+    sources = iter((server.url("left"), "another"))
     # only its camera is used: no [emulator]
     for line in load_rig_file("emulated").path.read_text().splitlines():
         inside = line.startswith("[emulator]") or inside and not line.startswith("[")
         if not inside:
-            lines.append(line.replace('source = "emulator"', f'source = "{server.url("left")}"'))
+            lines.append(
+                f'source = "{next(sources)}"' if line.startswith('source = "emulator"') else line
+            )
     rig = tmp_path / "rig.toml"
     rig.write_text("\n".join(lines))
     try:

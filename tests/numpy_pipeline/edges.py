@@ -1,0 +1,68 @@
+"""Ellipses by least squares on the pixels along their edges, in numpy: `fit_edges` of the kernels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mjtactile.sensing.image import edge_fit
+from mjtactile.sensing.image.edge_bands import Pixels
+from mjtactile.sensing.image.edge_fit import PARAMETERS, normal_matrix
+from mjtactile.sensing.image.edge_model import model
+from mjtactile.sensing.settings import EdgeSettings
+
+_DIAGONAL = np.arange(PARAMETERS)
+
+
+def fit_pixels(pixels, theta, blur, steps, small, s: EdgeSettings):
+    """As `edge_fit.fit_pixels`, with the same number of steps for all markers."""
+    stride = max(1, int(pixels.counts.mean()) // edge_fit._PIXELS_FIRST)
+    some = pixels.every(stride)
+    J = np.empty((PARAMETERS, len(some.x)), np.float32)
+    for k in range(steps):
+        residual = some.observed - model(some, theta, J, small)
+        weight = _robust(some, residual, theta, s) if k else np.ones_like(residual)
+        old = theta.copy()
+        theta[:] = _step(theta, *_normal(some, theta, J, residual, weight, blur))
+        if k and np.abs(theta - old)[:, :5].max() < edge_fit._CONVERGED:
+            break
+    J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
+    for _ in range(2):
+        residual = pixels.observed - model(pixels, theta, J, small)
+        weight = _robust(pixels, residual, theta, s)
+        H, right = _normal(pixels, theta, J, residual, weight, blur)
+        old = theta.copy()
+        theta[:] = _step(theta, H, right)
+    sums = [pixels.sums(weight * residual**k) for k in range(3)]
+    return H, np.stack([*sums, np.abs(theta - old)[:, :5].max(axis=1)], axis=1)
+
+
+def _normal(pixels: Pixels, theta, J, residual, weight, blur):
+    H = normal_matrix(pixels, J, weight)
+    right = pixels.sums(J * (weight * residual)).T
+    pull = blur.weight * pixels.sums(weight * residual * residual) / pixels.counts
+    H[:, -1, -1] += pull
+    right[:, -1] += pull * (blur.sigma - theta[:, -1])
+    return H, right
+
+
+def _robust(pixels: Pixels, residual, theta, s: EdgeSettings):
+    """Weights 1/(1 + (r/c)^4). c is a multiple of the marker's rms residual, but at least a
+    fraction of its contrast: effects of the lens that the model omits are no outliers."""
+    scale = np.maximum(
+        s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),
+        s.outlier_fraction * np.abs(theta[:, 5] - theta[:, 6]),
+    )
+    return 1 / (1 + (residual * pixels.spread(1 / np.maximum(scale, 1e-3))) ** 4)
+
+
+def _step(theta, H, gradient):
+    damped = H.copy()
+    damped[:, _DIAGONAL, _DIAGONAL] = damped[:, _DIAGONAL, _DIAGONAL] * (1 + 1e-6) + 1e-9
+    step = np.linalg.solve(damped, gradient[..., None])[..., 0]
+    step[:, :5] = np.clip(step[:, :5], -1.5, 1.5)
+    new = theta + step
+    new[:, 9] = np.clip(new[:, 9], 0.3, 8.0)
+    small = np.linalg.norm(theta[:, 2:5], axis=1) * 0.2
+    bad = ~np.isfinite(new).all(axis=1) | (new[:, 2] * new[:, 4] - new[:, 3] ** 2 <= small**2 * 0.1)
+    bad |= (new[:, 2] <= 0) | (new[:, 4] <= 0)
+    return np.where(bad[:, None], theta, new)
