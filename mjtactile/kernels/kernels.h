@@ -301,7 +301,7 @@ int64_t qs_factorize(const double *numbers /* 20 */, const double *law /* 11 */,
    the present one. Out: `found`, see qs_workspace.h. */
 int64_t qs_solve(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows,
                    int64_t keeping, const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy, double *room /* roomy */, int64_t environments,
-                   int64_t start, int64_t end, const double *settings /* environments, 6 */, int64_t bodies,
+                   int64_t start, int64_t end, const double *settings /* environments, 9 */, int64_t bodies,
                    const double *body /* environments, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                    double *x /* environments, 3, columns, rows */, double *force /* environments, columns, rows */,
                    double *trend /* environments, 4, columns, rows */, double *found /* environments, 14 */);
@@ -311,7 +311,7 @@ int64_t qs_solve(const double *numbers /* 20 */, const double *law /* 11 */, int
 int64_t qs_solve_batch(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                    const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                    double *room /* roomy */, int64_t environments, int64_t *next /* 1 */,
-                   const double *settings /* environments, 6 */, int64_t bodies, const double *body /* environments, bodies, 20 */,
+                   const double *settings /* environments, 9 */, int64_t bodies, const double *body /* environments, bodies, 20 */,
                    int64_t pooled, const double *pool /* pooled or NULL */,
                    const double *from_x /* environments, 3, columns, rows or NULL */,
                    const double *from_force /* environments, columns, rows or NULL */,
@@ -328,7 +328,7 @@ int64_t qs_solve_batch(const double *numbers /* 20 */, const double *law /* 11 *
    solution, then workspace. */
 int64_t qs_follow(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
-                    double *room /* roomy */, const double *settings /* 6 */, int64_t geoms, double *body /* geoms, 20 */,
+                    double *room /* roomy */, const double *settings /* 9 */, int64_t geoms, double *body /* geoms, 20 */,
                     int64_t pooled, const double *pool /* pooled or NULL */, double *x /* 3, columns, rows */,
                     double *force /* columns, rows */, double *trend /* 4, columns, rows */, double *found /* 14 */,
                     const double *given /* 8 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
@@ -383,7 +383,7 @@ int64_t qs_sensitivities_size(const double *numbers /* 20 */);
    forces and the results of qs_solve. Returns 1 if the membrane is not in equilibrium on these
    obstacles. */
 int64_t qs_sensitivities(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t roomy,
-                    double *room /* roomy */, const double *settings /* 6 */, int64_t bodies, int64_t changes,
+                    double *room /* roomy */, const double *settings /* 9 */, int64_t bodies, int64_t changes,
                     const double *body /* 1 + changes, bodies, 20 */, int64_t pooled, const double *pool /* pooled or NULL */,
                     const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_x /* changes, 3, columns, rows */,
@@ -391,7 +391,7 @@ int64_t qs_sensitivities(const double *numbers /* 20 */, const double *law /* 11
 /* Approximate qs_sensitivities for heights and forces only, at a fifth of the cost: by a height step of
    the solver, without in-plane displacements. */
 int64_t qs_approximate_sensitivities(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
-                    const float *kept /* keeping */, int64_t roomy, double *room /* roomy */, const double *settings /* 6 */,
+                    const float *kept /* keeping */, int64_t roomy, double *room /* roomy */, const double *settings /* 9 */,
                     int64_t bodies, int64_t changes, const double *body /* 1 + changes, bodies, 20 */, int64_t pooled,
                     const double *pool /* pooled or NULL */, const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_z /* changes, columns, rows */,

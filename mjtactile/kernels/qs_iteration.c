@@ -15,6 +15,7 @@
 #define CHECKS 3
 #define EDGE_HALVES 20
 #define SHORT 2e-4         /* height step below which nodes may be released, m */
+#define MAX_DRAG 2.0       /* maximum shear per normal force */
 #define FINE 1e-8          /* tolerance below which double precision is used, m */
 
 static long doubles_of(const Membrane *f) { return qs_lowest_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
@@ -235,10 +236,20 @@ int settle_heights(const Membrane *f, const Settings *set, const Bodies *bodies,
 
 /* -- in the plane ------------------------------------------------------------------------------ */
 
-double step_plane(const Membrane *f, Work *w) {
+/* Return the shear per normal force along axis `c` that is added to the frictionless forces. */
+static double drag_of(const Membrane *f, const Settings *set, long c, const Work *w) {
+    double normal = 0, along = 0;
+    if (!set->sticks) return 0;
+    for (long k = 0; k < f->count; k++) normal += w->force[k], along += w->force[k] * w->seen.slope[c * f->count + k];
+    return normal > 0 ? clip((set->shear[c] - along) / normal, -MAX_DRAG, MAX_DRAG) : 0;
+}
+
+double step_plane(const Membrane *f, const Settings *set, Work *w) {
     const long n = f->count;
-    for (long c = 0; c < 2; c++)
-        for (long k = 0; k < n; k++) w->plane[c * n + k] = (float)(w->force[k] * w->seen.slope[c * n + k]) - w->residual[c * n + k];
+    for (long c = 0; c < 2; c++) {
+        const double drag = drag_of(f, set, c, w);
+        for (long k = 0; k < n; k++) w->plane[c * n + k] = (float)(w->force[k] * (w->seen.slope[c * n + k] + drag)) - w->residual[c * n + k];
+    }
     qs_inplane_solve(f, w->plane_factor, w->plane, w->plane_room);
     const double largest = largest_of(w->plane, 2 * n);
     if (largest > LONGEST_SHIFT)

@@ -85,7 +85,7 @@ static double step_both(const Membrane *f, const Settings *set, const Bodies *bo
     }
     *lift = largest_of(w->moved, n);
     update_membrane(f, set, QS_PLANE, w);
-    const double shift = step_plane(f, w);
+    const double shift = step_plane(f, set, w);
     for (long k = 0; k < 2 * n; k++) now[k] = w->plane[k], w->x[k] += (double)w->plane[k];
     return isfinite(*lift) && isfinite(shift) ? max_of(*lift, shift) : NAN;
 }

@@ -52,6 +52,6 @@ int settle_heights(const Membrane *membrane, const Settings *set, const Bodies *
 double largest_of(const float *values, long n);
 /* Compute the in-plane step (2, count) in `plane`; return its largest value. Frictionless: contact
    forces are along the obstacle's normal. */
-double step_plane(const Membrane *membrane, Work *work);
+double step_plane(const Membrane *membrane, const Settings *set, Work *work);
 
 #endif

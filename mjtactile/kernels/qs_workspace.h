@@ -13,8 +13,9 @@ enum { FORCE_X, FORCE_Y, FORCE_Z, TORQUE_X, TORQUE_Y, TORQUE_Z, PRESSURE, VOLUME
 
 /* Settings of a solution. gas: p V^gamma if sealed, otherwise the constant gauge pressure, Pa.
    again: retry without contact and in small steps if another start fails. below_rim: depth of
-   obstacles, m, down to which the frame's rim supports them. */
-typedef struct { double gas, sealed, tolerance, max_steps, again, below_rim; } Settings;
+   obstacles, m, down to which the frame's rim supports them. sticks: the in-plane force of the
+   contact is `shear`, N; otherwise there is no friction. */
+typedef struct { double gas, sealed, tolerance, max_steps, again, below_rim, sticks, shear[2]; } Settings;
 
 /* faces: see `qs_faces`; 0: none */
 typedef struct { long count; const double *body, *pool, *faces; } Bodies;

@@ -19,7 +19,15 @@ from mjtactile.kernels import bound, kernel
 from mjtactile.quasistatic import obstacles
 from mjtactile.quasistatic.discretization_error import row_error
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
-from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, VOLUME, MembraneStatus
+from mjtactile.quasistatic.solution import (
+    AREA,
+    FOUND,
+    FRICTIONLESS,
+    PRESSURE,
+    STATUS,
+    VOLUME,
+    MembraneStatus,
+)
 from mjtactile.quasistatic.stick_contact import compliance_of
 
 _TOLERANCE = 1e-6  # tolerance of the displacements, m
@@ -52,7 +60,9 @@ class IncrementalMembrane:
         self.rows = rows
         self.pool = pool
         self.found = np.zeros(FOUND)
-        self.settings = np.array([0.0, 0.0, _TOLERANCE, float(_MAX_STEPS), 1.0, below_rim])
+        self.settings = np.array(
+            [0.0, 0.0, _TOLERANCE, float(_MAX_STEPS), 1.0, below_rim, *FRICTIONLESS]
+        )
         self.constants = membrane._constants.copy()
         room = np.empty_like(membrane._room)
         kept = (membrane._kept.size, membrane._kept)

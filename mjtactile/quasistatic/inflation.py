@@ -14,7 +14,7 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.quasistatic.cut_cells import free_nodes
 from mjtactile.quasistatic.obstacles import NUMBERS
-from mjtactile.quasistatic.solution import FOUND, MembraneSolution
+from mjtactile.quasistatic.solution import FOUND, FRICTIONLESS, MembraneSolution
 
 if TYPE_CHECKING:
     from mjtactile.quasistatic.membrane import QuasistaticMembrane
@@ -43,9 +43,8 @@ def inflate(membrane: QuasistaticMembrane) -> MembraneSolution:
             _keep(membrane, x)
         except np.linalg.LinAlgError:
             break
-        settings = np.array(
-            [fraction * membrane.gauge_pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0]
-        )
+        pressure = fraction * membrane.gauge_pressure
+        settings = np.array([pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0, *FRICTIONLESS])
         trend = np.zeros((4, *membrane.grid))
         membrane._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
         if not MembraneSolution(x, force, found).converged:

@@ -32,6 +32,7 @@ from mjtactile.quasistatic.sensitivities import (
 )
 from mjtactile.quasistatic.solution import (
     FOUND,
+    FRICTIONLESS,
     ContactSetup,
     MembraneSolution,
     MembraneSolutionBatch,
@@ -183,7 +184,9 @@ class QuasistaticMembrane:
         start = self.rest if state is None or not state.converged else state
         x, force, found = start.x.copy(), start.force.copy(), np.empty(FOUND)
         trend = np.zeros((4, *self.grid)) if start.trend is None else start.trend.copy()
-        settings = np.array([self._gas, self.sealed, TOLERANCE, _MAX_STEPS, 1.0, 0.0])
+        settings = np.array(
+            [self._gas, self.sealed, TOLERANCE, _MAX_STEPS, 1.0, 0.0, *FRICTIONLESS]
+        )
         self._run(settings, rows, pool, (x, force, trend, found))
         pressing = ContactSetup(listed, self.x, self.y, self.design.membrane.thickness / 2)
         return require_admissible(MembraneSolution(x, force, found, trend, pressing))
@@ -231,7 +234,8 @@ class QuasistaticMembrane:
         made = new_batch(count, self.grid) if into is None or into.trend is None else into
         steps = argument_checks.step_count(max_steps)
         repeats = argument_checks.flag("again", again)
-        settings = np.tile([self._gas, self.sealed, TOLERANCE, steps, repeats, 0.0], (count, 1))
+        each = [self._gas, self.sealed, TOLERANCE, steps, repeats, 0.0, *FRICTIONLESS]
+        settings = np.tile(each, (count, 1))
         threads = argument_checks.thread_count(threads, count)
         self._rooms += [np.empty_like(self._room) for _ in range(len(self._rooms), threads)]
 
@@ -250,6 +254,8 @@ class QuasistaticMembrane:
         state: MembraneSolution,
         tolerance: float = TOLERANCE,
         max_steps: int = _MAX_STEPS,
+        again: bool = False,
+        shear: Array | None = None,
     ) -> MembraneSolution:
         """Find the equilibrium on other obstacles. Arguments are not checked.
 
@@ -258,6 +264,9 @@ class QuasistaticMembrane:
             state: Converged initial state.
             tolerance: Tolerance of the displacements, m.
             max_steps: Maximum number of steps.
+            again: As in `solve_batch`.
+            shear: In-plane force of the contact (2,), N, which is distributed like the normal
+                force; None: without friction.
 
         Returns:
             The state. An invalid solution has a status and raises no error.
@@ -265,7 +274,8 @@ class QuasistaticMembrane:
         rows, pool = obstacle_rows.rows_and_pool(obstacles, self.grid)
         found, trend = np.empty(FOUND), np.zeros((4, *self.grid))
         x, force = state.x.copy(), state.force.copy()
-        settings = np.array([self._gas, self.sealed, tolerance, max_steps, 0.0, 0.0])
+        friction = FRICTIONLESS if shear is None else (1.0, *shear)
+        settings = np.array([self._gas, self.sealed, tolerance, max_steps, again, 0.0, *friction])
         self._run(settings, rows, pool, (x, force, trend, found))
         return MembraneSolution(x, force, found, trend)
 

@@ -15,7 +15,15 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import kernel
 from mjtactile.quasistatic import obstacles
 from mjtactile.quasistatic.obstacles import Obstacle
-from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, VOLUME, WRENCH, MembraneSolution
+from mjtactile.quasistatic.solution import (
+    AREA,
+    FOUND,
+    FRICTIONLESS,
+    PRESSURE,
+    VOLUME,
+    WRENCH,
+    MembraneSolution,
+)
 
 if TYPE_CHECKING:
     from mjtactile.quasistatic.membrane import QuasistaticMembrane
@@ -122,7 +130,7 @@ def sensitivities_of(
     room, count = membrane._derive_room, len(by)
     by_x, by_force = np.empty((count, 3, *membrane.grid)), np.empty((count, *membrane.grid))
     by_detection = np.empty((count, FOUND))
-    settings = np.array([membrane._gas, membrane.sealed, 0.0, 1.0, 0.0, 0.0])
+    settings = np.array([membrane._gas, membrane.sealed, 0.0, 1.0, 0.0, 0.0, *FRICTIONLESS])
     fixed = (membrane._constants, membrane._law, *membrane.grid, room.size, room, settings)
     given = _kernel_arguments(state, rows, pool, by)
     if _call_kernel("qs_sensitivities", *fixed, *given, by_x, by_force, by_detection):
@@ -145,7 +153,7 @@ def approximate_sensitivities(
     contact on few nodes and for sharp rims. Raises InputError close to instability.
     """
     by_z, by_force = (np.empty((len(by), *membrane.grid)) for _ in range(2))
-    settings = np.array([membrane._gas, membrane.sealed, _LOOSE, 1.0, 0.0, 0.0])
+    settings = np.array([membrane._gas, membrane.sealed, _LOOSE, 1.0, 0.0, 0.0, *FRICTIONLESS])
     fixed = (
         membrane._constants,
         membrane._law,

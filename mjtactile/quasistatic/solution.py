@@ -47,6 +47,7 @@ _REFUSALS = {
 WRENCH = slice(0, 6)
 PRESSURE, VOLUME, AREA, STATUS, STEPS, STRETCHED, TENSION, LAST_STEP = range(6, 14)
 FOUND = 14
+FRICTIONLESS = (0.0, 0.0, 0.0)  # last settings of a solution: sticks, shear along x and y
 _TOUCHES = 5e-5  # maximum distance behind an untouched membrane without an error, m
 
 

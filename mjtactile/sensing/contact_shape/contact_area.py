@@ -75,7 +75,8 @@ def state_area(
 ) -> float:
     """Return the contact area of one part, m^2, that carries the fraction `share` of the force.
 
-    For a flat face, use the fraction of the face with touching nodes. For a round shape, use
+    For a flat face, use the fraction of the face with touching nodes. The fitted rim is rounded; a
+    steep membrane leaves the sharp rim farther outward than a flat one. For a round shape, use
     the area of the membrane model, which has uniform tension. Correct it for the stretch of the
     membrane.
     """
@@ -86,7 +87,7 @@ def state_area(
         area = face_area * lies / max(float(within.sum()), 1e-9)
         rim = rim_length(family, theta)
         steep = slope_at_rim(share * state.force_normal, area, rim, state)
-        out = _rim_out(steep, forward.stiction_ratio(state, s) - s.friction, s) * hint.rounding
+        out = (s.rim_slope * steep - s.rim_in) * hint.rounding
         return area * max(1 + out * rim / area, _FACE_MIN) if area > 0 else 0.0
     stretched = state.found[TENSION] / forward.membrane.rest.found[TENSION] - 1
     ratio = s.area_light + s.area_stretched * min(max(stretched, 0.0), s.stretched_max)
@@ -107,13 +108,6 @@ def slope_at_rim(force: float, area: float, rim: float, state: MembraneSolution)
     excess = force - state.gauge_pressure * area
     slope = excess / max(float(state.found[TENSION]) * rim, 1e-9)
     return min(max(slope, _SLOPES[0]), _SLOPES[1])
-
-
-def _rim_out(slope: float, stuck: float, s: ContactShapeSettings) -> float:
-    """Return the outward offset of a sharp rim from the fitted rim, in rounding radii. The fitted
-    rim is rounded. A steep membrane leaves it farther outward than a flat one. Near the frame the
-    offset is larger, because the membrane sticks and is steeper than the model."""
-    return s.rim_slope * slope + s.rim_stuck * stuck - s.rim_in
 
 
 def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> float:

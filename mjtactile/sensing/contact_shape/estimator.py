@@ -16,7 +16,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
-from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart
+from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart, Proposal
 from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load, tip_probability
@@ -31,7 +31,7 @@ from mjtactile.sensing.contact_shape.primitives import (
     feasible_half_extents,
 )
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
-from mjtactile.sensing.contact_shape.shape_models import kinds_of
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES, kinds_of
 from mjtactile.sensing.contact_shape.shape_result import (
     build_shape,
     with_curvature_spread,
@@ -123,10 +123,24 @@ class ContactShapeEstimator:
         )
 
     def _suggest(self, data: Data) -> Suggestions:
-        """Return the starts of the shape models for an image."""
+        """Return the starts of the shape models for an image. They are estimated for a membrane
+        without friction: the heights due to shear are removed first."""
         assert self.start is not None
         raised = data.heights - self.forward.rest_heights[data.ids]
-        return Suggestions(self.start.propose(raised, data.ids), self.reference)
+        proposal = self.start.propose(raised, data.ids)
+        if data.shear is not None:
+            raised = raised - self._raised_by_shear(data, data.shear, proposal)[data.ids]
+            proposal = self.start.propose(raised, data.ids)
+        return Suggestions(proposal, self.reference)
+
+    def _raised_by_shear(self, data: Data, shear: Array, proposal: Proposal) -> Array:
+        """Return the rise of the markers (N,), m, by the shear on a ball at the contact."""
+        ball = FAMILIES["ball"].build(proposal.theta("ball"), self.reference)
+        without = self.forward.solve(ball)
+        sheared = None if without is None else self.forward.solve(ball, without, shear)
+        if without is None or sheared is None:
+            return np.zeros(len(self.forward.rest_heights))
+        return self.forward.heights(sheared.x[None])[0] - self.forward.heights(without.x[None])[0]
 
     @cached_property
     def reference(self) -> InitialGuess:

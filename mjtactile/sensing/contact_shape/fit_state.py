@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Touch
 from mjtactile.quasistatic import MembraneSolution
-from mjtactile.sensing.contact_shape.forward_model import ForwardModel, converged
+from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 from mjtactile.sensing.settings import ContactShapeSettings
@@ -18,14 +18,15 @@ from mjtactile.sensing.settings import ContactShapeSettings
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """Data of one image: marker heights, their noise, and the normal force. `heights` (n,), m, are
-    those of the markers `ids` (n,), relative to the membrane model. `root` (n, n) whitens their
-    noise. `force`, N, is the estimated normal force."""
+    """Data of one image: marker heights, their noise, and the force. `heights` (n,), m, are those
+    of the markers `ids` (n,), relative to the membrane model. `root` (n, n) whitens their noise.
+    `force`, N, is the estimated normal force, `shear` (2,), N, the in-plane one (None: unknown)."""
 
     ids: NDArray[np.int64]
     heights: Array
     root: Array
     force: float
+    shear: Array | None
 
     @classmethod
     def of(
@@ -42,11 +43,11 @@ class Data:
         m, since the rest reference."""
         markers = touch.markers
         assert markers is not None
-        shear = 0.0 if touch.traction is None else float(np.hypot(*touch.traction.wrench[:2]))
-        sd = np.sqrt(markers.cov_p[:, 2, 2] + s.membrane_sd**2 + (s.shear_sd * shear) ** 2)
+        sd = np.sqrt(markers.cov_p[:, 2, 2] + s.membrane_sd**2)
         common = np.column_stack([drift[0] * by_gas[markers.ids], np.full(len(sd), drift[1])])
         heights = markers.p_SM[:, 2] - raised[markers.ids]
-        return cls(markers.ids, heights, _whitening(sd, common), touch.force_normal)
+        shear = None if touch.traction is None else touch.traction.wrench[:2]
+        return cls(markers.ids, heights, _whitening(sd, common), touch.force_normal, shear)
 
     def residual(self, heights: Array) -> Array:
         """Return the whitened residual (n,) of markers predicted at `heights` (N,), m."""
@@ -110,8 +111,7 @@ class Problem:
     def solve(self, theta: Array, start: MembraneSolution | None) -> MembraneSolution | None:
         """Solve the membrane on the shape with parameters `theta`, starting from `start` (None:
         from rest); None: the solver did not converge."""
-        batch = self.forward.solve([self.family.build(theta, self.hint)], start)
-        return batch[0] if converged(batch) else None
+        return self.forward.solve(self.family.build(theta, self.hint), start, self.data.shear)
 
     def clip(self, theta: Array) -> Array:
         """Return the parameters within their bounds."""

@@ -52,17 +52,16 @@ def contact_load(
     # remove the torque of the shear force at that height
     rows[1, 1] = height + above
     rows[2, 0] = -(height + above)
-    more = forward.stiction_ratio(state, s)
-    load = more * rows @ state.wrench
+    load = s.friction * rows @ state.wrench
     pointed = tip_probability(found, noise, s)
     uncertain = max(blunt, pointed)
     position_sd = s.position_sd_sharp + uncertain * (s.position_sd - s.position_sd_sharp)
     model = _model(
         load, max(found.misfit, 1.0), pointed, position_sd, below_frame(forward, state), s
     )
-    shear = wrench[:2] - more * state.wrench[:2]
+    shear = wrench[:2] - s.friction * state.wrench[:2]
     model[[1, 2], [1, 2]] += (s.shear_above_fraction * above * shear[::-1]) ** 2
-    by_numbers = more**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
+    by_numbers = s.friction**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
     residual = load - rows @ wrench
     p_other = 1 - float(press.probabilities[0])
     left = (max(found.misfit, 1.0) / s.misfit_max) ** 2

@@ -17,9 +17,8 @@ from mjtactile.quasistatic import MembraneSolution, Obstacle, QuasistaticMembran
 from mjtactile.quasistatic.interpolation import interpolation_matrix
 from mjtactile.quasistatic.obstacles import NUMBERS, rows_and_pool
 from mjtactile.quasistatic.sensitivities import approximate_sensitivities, sensitivities_of
-from mjtactile.quasistatic.solution import AREA, FOUND, PRESSURE, STATUS, MembraneSolutionBatch
+from mjtactile.quasistatic.solution import AREA, PRESSURE, STATUS
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
-from mjtactile.sensing.settings import ContactShapeSettings
 
 _STEPS = 20  # enough for 49 of 50 converging solutions; those that never converge use all
 _TOLERANCE = 3e-6  # tolerance of the displacements, m: a fortieth of the marker noise
@@ -85,28 +84,6 @@ class ForwardModel:
         """Return the marker heights (n, N), m, for node displacements `x` (n, 3, nx, ny)."""
         return x[:, -1].reshape(len(x), -1) @ self._by_node
 
-    def stiction_ratio(self, state: MembraneSolution, s: ContactShapeSettings) -> float:
-        """Return the ratio of the force with a sticking membrane to that of this sliding model
-        (docs/theory/contact_shape.md, Eq. F21).
-
-        The membrane is stretched more between the object and the nearer side of the frame. A
-        sticking membrane cannot equalize this by sliding. The ratio is `friction` at the center and
-        grows with the square of the pressure center's distance from there, in half-extents of the
-        frame.
-        """
-        force = state.contact_forces
-        total = float(force.sum())
-        if total <= 0:
-            return s.friction
-        frame = self.membrane.design.frame
-        sides = (frame.length, frame.width)
-        more = 0.0
-        for axis, fraction in enumerate(s.friction_aside):
-            position = self.nodes[axis] + state.displacements[axis]
-            offset = float((force * position).sum()) / total / (sides[axis] / 2)
-            more += fraction * offset**2
-        return s.friction + more
-
     def answers(
         self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
     ) -> tuple[Array, Array]:
@@ -131,28 +108,17 @@ class ForwardModel:
         return rows.reshape(len(bodies), -1, NUMBERS), pool
 
     def solve(
-        self, bodies: Sequence[Sequence[Obstacle]], start: MembraneSolution | None = None
-    ) -> MembraneSolutionBatch:
-        """Solve the membrane on each set of obstacles, from `start`; stop those that do not
-        converge."""
+        self,
+        obstacles: Sequence[Obstacle],
+        start: MembraneSolution | None = None,
+        shear: Array | None = None,
+    ) -> MembraneSolution | None:
+        """Solve the membrane on obstacles that load it with the in-plane force `shear` (2,), N
+        (None: without friction), starting from `start` (None: from rest). None: the solver did not
+        converge, for which far starts get fewer steps."""
+        membrane = self.membrane
         if start is None:
-            return self.membrane.solve_batch(bodies)
-        count = len(bodies)
-        if count == 1:
-            solution = self.membrane.resume(bodies[0], start, _TOLERANCE, _STEPS)
-            return MembraneSolutionBatch(
-                solution.x[None], solution.force[None], solution.found[None]
-            )
-        found = np.empty((count, FOUND))
-        found[:] = start.found
-        batch = MembraneSolutionBatch(
-            np.repeat(start.x[None], count, axis=0),
-            np.repeat(start.force[None], count, axis=0),
-            found,
-        )
-        return self.membrane.solve_batch(bodies, batch, again=False, max_steps=_STEPS)
-
-
-def converged(batch: MembraneSolutionBatch) -> bool:
-    """Return True if the first solution of the batch converged."""
-    return bool(batch.found[0, STATUS] == 0)
+            found = membrane.resume(obstacles, membrane.rest, again=True, shear=shear)
+        else:
+            found = membrane.resume(obstacles, start, _TOLERANCE, _STEPS, shear=shear)
+        return found if found.found[STATUS] == 0 else None

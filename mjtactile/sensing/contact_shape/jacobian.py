@@ -93,9 +93,13 @@ def exact_jacobian(problem: Problem, at: FitState) -> Jacobian:
 def _by_differences(problem: Problem, at: FitState, steps: Array) -> Jacobian:
     """Compute the Jacobian by differences of membrane solutions, for parameter changes `steps`
     (k,)."""
-    shapes = _changed_shapes(problem, at.theta, steps)[1:]
-    batch = problem.forward.solve(shapes, at.state)
-    over = (batch.converged / (steps / problem.family.sd))[:, None]
-    heights = (problem.forward.heights(batch.x) - at.heights) * over
-    sums = (batch.found[:, SUMS] - at.state.found[SUMS]) * over
-    return Jacobian(heights.T, np.where(over == 0, 0.0, sums).T, at.theta, True)
+    heights = np.zeros((len(at.heights), len(steps)))
+    sums = np.zeros((len(SUMS), len(steps)))
+    for k, shape in enumerate(_changed_shapes(problem, at.theta, steps)[1:]):
+        changed = problem.forward.solve(shape, at.state, problem.data.shear)
+        if changed is None:
+            continue
+        over = problem.family.sd[k] / steps[k]
+        heights[:, k] = (problem.forward.heights(changed.x[None])[0] - at.heights) * over
+        sums[:, k] = (changed.found[SUMS] - at.state.found[SUMS]) * over
+    return Jacobian(heights, sums, at.theta, True)

@@ -68,7 +68,9 @@ class ShapeFilter:
         tiny = _UNSEEN * np.eye(len(information))
         known = np.linalg.inv(self.precision + tiny)
         unexplained = information - seen @ known @ self.information
-        return float(unexplained @ np.linalg.solve(seen + seen @ known @ seen + tiny, unexplained))
+        # singular to rounding where one direction is known a million times better than another
+        precision = np.linalg.pinv(seen + seen @ known @ seen + tiny, hermitian=True)
+        return float(unexplained @ precision @ unexplained)
 
     def prior(self, fit: Fit, noise: float, hint: InitialGuess) -> Prior:
         """Return the prior of all parameters for the next evaluation. The pose is near that of

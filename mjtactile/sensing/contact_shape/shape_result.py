@@ -40,7 +40,7 @@ def build_shape(
     cov = reported_covariance(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, interval, s)
-    force = forward.stiction_ratio(found.state, s) * found.state.force_normal
+    force = s.friction * found.state.force_normal
     total = _ContactSummary(areas(forward, found, s)[0], force, interval, found.misfit)
     outline = _outline(forward, found, found.state.contact_forces)
     return _body(found.family, found.theta, found.hint, cov, kind, probabilities, total, outline, s)
@@ -124,7 +124,7 @@ def _several(
     nearest = nearest_part(forward, found)
     sizes = areas(forward, found, s)
     carry = shares(forward, found)
-    load = forward.stiction_ratio(found.state, s) * found.state.force_normal
+    load = s.friction * found.state.force_normal
     maximum = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []

@@ -52,12 +52,6 @@ class ContactShapeSettings:
         "standard deviation of the marker height error of the quasi-static membrane, m",
         "bench quasistatic",
     )
-    shear_sd: float = number(
-        1.7e-4,
-        "standard deviation of the marker heights over the shear force, m/N: shear stretches one "
-        "side of the membrane, and the model has no friction",
-        "held balls, bottles and cylinders of 5 to 50 g: misfit near 1",
-    )
     mesh_spacing: float = number(
         1.25e-3,
         "vertex spacing of a simulated membrane, m; above the default, model errors grow",
@@ -84,12 +78,6 @@ class ContactShapeSettings:
     rim_slope: float = number(
         1.15, "outward offset per membrane slope at the rim, in rounding radii", _CALIBRATED
     )
-    rim_stuck: float = number(
-        10.7,
-        "outward offset per increase of the sticking force ratio from its center value, in "
-        "rounding radii",
-        _CALIBRATED,
-    )
     rim_sd: float = number(
         0.25,
         "standard deviation of the rim position, in rounding radii",
@@ -106,19 +94,13 @@ class ContactShapeSettings:
         1.0, "ratio of the contact area to that of the membrane model, at light contact", _SHAPES
     )
     area_stretched: float = number(
-        0.65, "increase of that ratio per relative increase of the membrane tension", _SHAPES
+        0.4, "increase of that ratio per relative increase of the membrane tension", _SHAPES
     )
     stretched_max: float = number(
         0.1, "maximum relative increase of the tension that counts", _SHAPES
     )
     friction: float = number(
-        1.024, "force of a sticking membrane over that of the sliding model, at the center", _SHAPES
-    )
-    friction_aside: tuple[float, float] = number(
-        (0.2, 0.5),
-        "increase of that ratio per squared distance of the load from the center along x and "
-        "y, in half-extents of the frame",
-        _SHAPES,
+        1.016, "force of a sticking membrane over that of the model", _CALIBRATED
     )
     force_sd: float = number(
         2e-3,

@@ -268,3 +268,19 @@ def test_a_ridge_between_nodes_is_met(coarse, fine, y):
     # nodes are 2 mm apart: a row may be a millimeter from the edge, and the flanks make contact at
     # nodes
     assert forces[0] == pytest.approx(forces[1], rel=0.2)
+
+
+def test_shear_moves_a_contact_as_far_as_an_independent_membrane(fine):
+    """A sticking ball of 8 mm, 2 mm deep, moved by 0.3 mm in the independent solution. There the
+    nodes in contact move rigidly; here shear is distributed like the normal force, so that their
+    mean moves 8 % farther."""
+    obstacles = [ball(fine, 8, (0, 0), 8.8699)]
+    start = fine.solve(obstacles)
+    sheared = fine.resume(obstacles, start, shear=np.array([0.1429, 0.0]))
+    assert sheared.converged
+    moved = (sheared.displacements - start.displacements)[:, sheared.contact_forces > 0]
+    assert moved[0].mean() == pytest.approx(1.08 * 0.3e-3, rel=0.03)
+    assert abs(moved[1].mean()) < 1e-8
+    # the membrane ahead rises by as much as it falls behind, to first order
+    rise = (sheared.heights - start.heights)[[8, 32], 15]
+    assert rise[1] > 1e-4 and rise[0] == pytest.approx(-rise[1], rel=0.1)
