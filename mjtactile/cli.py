@@ -63,8 +63,8 @@ class _Parser(argparse.ArgumentParser):
     command = ""
 
     def _parse_optional(self, arg_string: str) -> Any:
-        """Every option here has two dashes: a word with one is a value (`--position-mm -3.2,1.7`,
-        `--effects -latency`)."""
+        """Return None for values with one dash, such as `--position-mm -3.2,1.7` and `--effects
+        -latency`. Every option here has two dashes."""
         is_value = (
             arg_string.startswith("-")
             and not arg_string.startswith("--")

@@ -66,8 +66,8 @@ def fiducial_findings(subject: str, design: SensorDesign, image: Image) -> Itera
 def plugged_in(
     more: Iterable[str] = (), *, ask: bool = True, notify: Callable[[str], None] = lambda _: None
 ) -> tuple[list[Any], list[Any]]:
-    """Cameras (`VideoDevice`) and serial ports (`SerialPort`), those of `more` too; `ask` who
-    answers on the ports."""
+    """List the cameras (`VideoDevice`) and serial ports (`SerialPort`), including the ports `more`.
+    With `ask`, identify the devices on the ports."""
     from mjtactile.devices.camera.v4l2 import video_devices
     from mjtactile.devices.discovery import serial_ports
 
