@@ -70,8 +70,8 @@ class AttachedSensor:
                 spec.
 
         Warns:
-            UserWarning: Objects can rest on a geom of the carrier through the membrane, or a geom
-                makes contact by a `<pair>` only.
+            UserWarning: Objects can rest on a geom of the carrier through the membrane, a geom
+                makes contact by a `<pair>` only, or an object has a margin or a negative gap.
         """
         finger = SimFinger(self.membrane, model, data, seed, self.carrier_contact)
         for text in finger.notes:

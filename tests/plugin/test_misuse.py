@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import pickle
+import warnings
 
 import mujoco
 import numpy as np
@@ -106,6 +107,26 @@ def test_an_input_of_the_scene_that_is_not_finite_stops_it(name):
         getattr(model.opt if name == "gravity" else data, name)[:] = np.nan
     with pytest.raises((SimulationError, InputError), match=f"{name}.* (is not finite|to nan s)"):
         mjtactile.step(model, data, [finger], nstep=60)
+
+
+@pytest.mark.parametrize(
+    ("options", "is_noted"), [({"margin": 2e-3}, True), ({"gap": -3e-3}, True), ({}, False)]
+)
+def test_a_margin_or_a_negative_gap_is_noted(options, is_noted):
+    """With 2 mm, a ball presses with 2.2 N on a mesh and with 0.84 N without one."""
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip")
+    ball = spec.worldbody.add_body(pos=[0, 0, 0.05])
+    ball.add_freejoint()
+    ball.add_geom(name="ball", size=[0.01, 0, 0], mass=0.02, **options)
+    mount = mjtactile.attach(spec, "dense", site="tip", effects="-mesh")
+    model = spec.compile()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        mount.bind(model, mujoco.MjData(model))
+    noted = ["'ball' has a margin or a negative gap" in str(one.message) for one in caught]
+    assert noted == [True] * is_noted
 
 
 def test_two_sensors_at_one_place_are_refused():

@@ -18,6 +18,8 @@ from mjtactile.sim.sensor.membrane import ANYTHING
 
 RESERVED = 1 << 30
 """Bit of `contype` that only membranes and their housings have in their `conaffinity`."""
+_MARGIN = 1e-3  # m; published scenes have up to this
+_NAMED = 5  # geoms listed in a note
 _DEFAULT = 1  # contype of a geom without one in its MJCF
 
 
@@ -43,7 +45,8 @@ def pair_only_geoms(model: mujoco.MjModel, carrier: int) -> NDArray[np.int64]:
 
 
 def contact_notes(model: mujoco.MjModel, carrier: int) -> list[str]:
-    """Return notes on the `<pair>`s and `<exclude>`s of a scene that do not apply to the sensor."""
+    """Return notes on the `<pair>`s, `<exclude>`s, margins and gaps of a scene that do not apply to
+    the sensor as to a rigid geom."""
     notes = []
     silent = pair_only_geoms(model, carrier)
     if len(silent):
@@ -59,7 +62,24 @@ def contact_notes(model: mujoco.MjModel, carrier: int) -> list[str]:
             f"<exclude> of the carrier and {names} does not apply to the sensor, which touches it: "
             "set contype and conaffinity of its geoms to 0 if it must not"
         )
+    early = _with_margin_or_gap(model, carrier)
+    if len(early):
+        names = ", ".join(repr(name_of(model, int(geom))) for geom in early[:_NAMED])
+        more = ", ..." if len(early) > _NAMED else ""
+        notes.append(
+            f"{names}{more} has a margin or a negative gap: on a mesh its contacts begin in front "
+            "of or behind its surface, without a mesh at its surface: set both to 0"
+        )
     return notes
+
+
+def _with_margin_or_gap(model: mujoco.MjModel, carrier: int) -> NDArray[np.int64]:
+    """Return the geoms (n,) of other objects whose margin or gap moves their contacts."""
+    moves = (model.geom_margin > _MARGIN) | (model.geom_gap < 0)
+    other = model.body_rootid[model.geom_bodyid] != model.body_rootid[carrier]
+    other |= model.geom_bodyid == 0
+    touches = (model.geom_contype != 0) & (model.geom_conaffinity != ANYTHING)
+    return np.flatnonzero(moves & other & touches)
 
 
 def _is_fixed_to(model: mujoco.MjModel, carrier: int) -> NDArray[np.bool_]:
