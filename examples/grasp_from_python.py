@@ -7,7 +7,7 @@ values as `--rig`: "sim", "emulated", a recording, or the rig file of your own g
 import mjtactile
 
 design = mjtactile.load_sensor("dense")
-controller = mjtactile.load_controller("gentle")
+controller = mjtactile.load_controller("adaptive")
 seen = []  # (phase, estimated normal forces in N, slip states), one per cycle
 
 

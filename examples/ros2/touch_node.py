@@ -6,7 +6,7 @@ In a Python that has ROS 2, mjtactile, and `mjtactile_msgs` (written by that exp
     python3 touch_node.py --ros-args -p rig:=my_gripper.toml
     ros2 lifecycle set /mjtactile configure && ros2 lifecycle set /mjtactile activate
     ros2 action send_goal --feedback /mjtactile/grasp mjtactile_msgs/action/Grasp \
-        "{object: egg, controller: gentle}"
+        "{object: egg, controller: adaptive}"
 
 With `publish_clock:=true` the simulated rig is the source of /clock and of all stamps. Otherwise
 stamps are the times of the measurements on the node's clock, also with use_sim_time.
@@ -195,7 +195,7 @@ class TouchNode(LifecycleNode):
 
     def run(self, handle):
         goal = handle.request
-        controller = mjtactile.load_controller(goal.controller or "gentle")
+        controller = mjtactile.load_controller(goal.controller or "adaptive")
         options = {"object_name": goal.object or "egg"}
         with mjtactile.open_session(self.requested["rig"], self.design, **options) as session:
             session.take_references()

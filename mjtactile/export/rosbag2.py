@@ -61,7 +61,7 @@ std_msgs/Header header
 GRASP = """\
 # One grasp. Empty: the default.
 string object               # egg
-string controller           # gentle
+string controller           # adaptive
 ---
 bool success                # the controller ended in the phase "done"
 string phase                # last phase

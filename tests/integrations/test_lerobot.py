@@ -99,6 +99,7 @@ def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
         *data,
         "--robot.cameras={tip: {type: mjtactile, finger: right}}",
         "--teleop.type=mjtactile",
+        "--teleop.controller=gentle",
         f"--teleop.calibration_dir={tmp_path}",
         "--dataset.single_task=grasp the egg",
         "--dataset.num_episodes=1",

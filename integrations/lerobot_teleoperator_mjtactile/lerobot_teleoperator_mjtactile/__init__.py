@@ -17,7 +17,7 @@ import mjtactile
 class MjtactileTeleoperatorConfig(TeleoperatorConfig):
     """Controller to run: a shipped name, or FILE.py."""
 
-    controller: str = "gentle"
+    controller: str = "adaptive"
 
 
 class MjtactileTeleoperator(Teleoperator):
