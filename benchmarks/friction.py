@@ -19,7 +19,8 @@ from mjtactile.core.errors import SimulationError
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.toml import read_json
 from mjtactile.grasp_estimation import FrictionFilter
-from mjtactile.grasp_estimation.friction_filter import ALL, GRID, MOVES, NONE, SOME
+from mjtactile.grasp_estimation.friction_filter import GRID
+from mjtactile.grasp_estimation.slip_signs import ALL, MOVES, NONE, SOME
 from mjtactile.recording.files import write_json
 from mjtactile.recording.observer import Observer
 from mjtactile.report.figures import new_figure

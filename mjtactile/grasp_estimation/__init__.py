@@ -4,9 +4,10 @@
 `load_estimator` and `grip_stiffness` track friction, load and stiffness from image to image.
 """
 
-from mjtactile.grasp_estimation.friction_filter import FrictionFilter, slip_sign
+from mjtactile.grasp_estimation.friction_filter import FrictionFilter
 from mjtactile.grasp_estimation.grip_stiffness import GripStiffnessEstimator
 from mjtactile.grasp_estimation.load_estimator import FrameLoadEstimator, LoadEstimator
+from mjtactile.grasp_estimation.slip_signs import slip_sign
 from mjtactile.grasp_estimation.slip_test import SlipTestResult, evaluate_slip_test
 from mjtactile.grasp_estimation.touch_statics import (
     GAIN_SD,

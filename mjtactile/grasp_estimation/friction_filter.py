@@ -14,13 +14,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from mjtactile.core.signature_checks import above, validated, within
 from mjtactile.core.types import Array, Touch
-from mjtactile.grasp_estimation.touch_statics import GRAVITY, shear
+from mjtactile.grasp_estimation.slip_signs import ANSWER_MIN, NONE, Signs, SlipSigns
 
 GRID = np.geomspace(0.10, 1.30, 49)
 """Values of the friction coefficient."""
@@ -34,12 +33,9 @@ _PRIOR = (0.7, 0.25)  # mean and standard deviation of mu before the first image
 _REPORTED = 0.6
 _SLIP_SD = (0.15, 0.10, 0.10)
 _FALSE = (0.1, 0.1, 0.001)
-# minimum growth of the distance from image to image, m: constant part, and times the relative
-# increase of the grip, which drags the surface of a soft object along
-_GROWTH = (1e-5, 1e-3)
-# a slip at less than this fraction of the utilization held within this time, s: odds that friction
-# has not changed
-_SAME, _HELD_TIME, _UNCHANGED = 1.1, 2.0, 0.01
+# a slip at less than this fraction of the utilization held before: odds that friction has not
+# changed
+_SAME, _UNCHANGED = 1.1, 0.01
 _USED_SD = (0.025, 0.006)  # sd of the utilization: constant part, and times 1 N over the force
 _WRONG = 0.01  # probability of an image in which that model does not hold
 # fraction of an image that is independent of the previous one: in a steady hold its errors last
@@ -51,65 +47,21 @@ _TEST_WEIGHT = 0.5
 # change of the shear over that of the grip, sticking and sliding; sd of it, and per change
 _ANSWERS = (0.15, 0.65)
 _ANSWER_SD = (0.08, 0.2)
-_ANSWER_TIME = 0.15  # time constant of the mean that a change is relative to, s
-_ANSWER_MIN = 0.05  # minimum relative change of the grip
-_REPORT_TIME = 0.15  # duration of a slip report after the slip, s
-_FORCE_MIN = 0.05  # minimum mean normal force for an update, N
 _LAG = 0.15  # prediction time, s: an image, the servo and its play
-_STOP = 1e-3  # distance within which a grip stops a sliding object, m
 _LOAD_SD = 0.06  # relative sd of load over grip: errors of the forces and of their control
 
 
-NONE, SOME, ALL, MOVES = range(4)
-"""Signs of slip: no finger, some fingers, all fingers report it; the distance of one grows."""
-
-
-class Signs(NamedTuple):
-    """Evidence of one image: mean `press` and `drag`, N, utilizations of the last `_REPORT_TIME`,
-    slip distances, m, sign of slip, ages of the reports, s, and relative changes of grip and shear
-    (NaN: unknown). `slid`: utilization of the fingers that slide; `speed`: of the slip, m/s."""
-
-    press: float
-    drag: float
-    recent: list[float]
-    distances: list[float]
-    slip: int
-    ages: list[float]
-    harder: float
-    more: float
-    slid: float = math.nan
-    speed: float = 0.0
-
-
 @dataclass(frozen=True)
-class FrictionFilter:
+class FrictionFilter(SlipSigns):
     """Posterior of the friction coefficient.
 
     A controller stores it as plain values (`vars`) and restores it (`FrictionFilter(**kept)`).
 
     Attributes:
         weights: (2 n) Probability of each value of `GRID` steady and falling; empty: the prior.
-        press, drag: Recent mean normal force and mean shear per finger, N; 0: unknown.
-        recent: Utilizations, shear over normal force, of the last `_REPORT_TIME`: slip is reported
-            late.
-        distances: Slip distance of each finger, m.
-        slip, strongest: Sign of slip in the last image; strongest sign of the present report.
-        ages: Time since each finger's last slip report, s.
-        held: Recent largest utilization without slip.
-        speed, acceleration: Largest speed, m/s, and acceleration, m/s^2, of the slip distances.
     """
 
     weights: Sequence[float] = ()
-    press: float = 0.0
-    drag: float = 0.0
-    recent: Sequence[float] = ()
-    distances: Sequence[float] = ()
-    slip: int = NONE
-    strongest: int = NONE
-    ages: Sequence[float] = ()
-    held: float = 0.0
-    speed: float = 0.0
-    acceleration: float = 0.0
 
     @validated(period=above(0))
     def after(
@@ -135,74 +87,14 @@ class FrictionFilter:
             for possible_slip in (_UNCHANGED if was_held else 1.0, 1.0)
         ]
         weights = predicted * np.concatenate(likelihood)
-        follow = min(1.0, period / _ANSWER_TIME) if self.press else 1.0
-        held = 0.0 if is_test else self.held * math.exp(-period / _HELD_TIME)
-        if signs.slip == NONE and self.press and not is_test:
-            held = max(held, self.drag / self.press)
         return FrictionFilter(
-            (weights / weights.sum()).tolist(),
-            self.press + follow * (signs.press - self.press),
-            self.drag + follow * (signs.drag - self.drag),
-            signs.recent,
-            signs.distances,
-            signs.slip,
-            max(signs.slip, self.strongest) if signs.slip else NONE,
-            signs.ages,
-            held,
-            signs.speed,
-            max(signs.speed - self.speed, 0.0) / period,
+            weights=(weights / weights.sum()).tolist(),
+            **self.followed(signs, period, is_test=is_test),
         )
-
-    def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
-        """Return the evidence of an image; None without a known grip force."""
-        press = float(np.mean([estimate.force_normal for estimate in touch]))
-        shears = np.linalg.norm(shear(touch), axis=1)
-        drag = float(shears.mean())
-        if not (math.isfinite(drag) and press > _FORCE_MIN):
-            return None
-        count = max(1, round(_REPORT_TIME / period))
-        recent = [*self.recent, drag / press][-count:]
-        distances = [0.0 if estimate.slip is None else estimate.slip.distance for estimate in touch]
-        states = [None if estimate.slip is None else estimate.slip.state for estimate in touch]
-        before = self.ages or [1.0] * len(touch)
-        ages = [
-            0.0 if state == "slipping" else age + period
-            for state, age in zip(states, before, strict=True)
-        ]
-        slip = slip_sign(touch)
-        if slip == SOME and max(ages) < _REPORT_TIME:
-            slip = ALL  # one after the other
-        if min(self.press, self.drag) > 0:
-            changes = press / self.press - 1, drag / self.drag - 1
-        else:
-            changes = math.nan, math.nan
-        min_growth = _GROWTH[0] + _GROWTH[1] * np.fmax(changes[0], 0.0)
-        pairs = zip(distances, self.distances or distances, strict=True)
-        grows = np.array([new - old > min_growth for new, old in pairs])
-        slides = np.array([state == "slipping" for state in states])
-        utilization = shears / np.maximum([estimate.force_normal for estimate in touch], _FORCE_MIN)
-        slid, speed = max(recent), 0.0
-        if slip == SOME:
-            slid = float(utilization[slides].mean())
-        if (moves := slides & grows).any():
-            slip, slid = MOVES, float(utilization[moves].mean())
-            speed = float(np.subtract(distances, self.distances)[moves].max()) / period
-        return Signs(press, drag, recent, distances, slip, ages, *changes, slid, speed)
-
-    @property
-    def grows(self) -> bool:
-        """The distance of a finger that reports slip grew in the last image."""
-        return self.slip == MOVES
 
     def density(self) -> Array:
         """Return the probability (n,) of each value of `GRID`."""
         return self._posterior().reshape(2, -1).sum(axis=0)
-
-    @property
-    def inertia(self) -> float:
-        """Force over weight that stops the sliding object within `_STOP` once a command acts."""
-        speed = self.speed + _LAG * self.acceleration
-        return speed**2 / (2 * GRAVITY * _STOP)
 
     @validated(probability=within(0, 1))
     def quantile(self, probability: float) -> float:
@@ -276,14 +168,6 @@ def _fall(fraction: float) -> Array:
     return np.maximum(1.0 - np.abs(rows - grid_index), 0.0)
 
 
-@validated()
-def slip_sign(touch: Sequence[Touch]) -> int:
-    """Return `NONE`, `SOME` or `ALL`: how many of the fingers in contact report slip."""
-    states = [estimate.slip.state for estimate in touch if estimate.slip is not None]
-    slips = [state == "slipping" for state in states if state not in ("none", "unknown")]
-    return NONE if not any(slips) else ALL if all(slips) else SOME
-
-
 def _likelihood(
     signs: Signs, before: int = NONE, is_test: bool = False, possible_slip: float = 1.0
 ) -> Array:
@@ -300,7 +184,10 @@ def _likelihood(
         state_index = signs.slip - 1
         deviation = (signs.slid / GRID - 1) / _SLIP_SD[state_index]
         sign = _FALSE[state_index] + possible_slip * np.exp(-0.5 * deviation**2)
-    weight = _WEIGHTS[signs.slip][before >= signs.slip]
+    is_further = before >= signs.slip
+    weight = _WEIGHTS[signs.slip][is_further]
+    if signs.slip and is_further and signs.harder > ANSWER_MIN:
+        weight = 0.0  # the report may outlast the slip; the answer of the shear decides
     if is_test and signs.slip == NONE:
         weight = _TEST_WEIGHT
     return (possible * answer) ** _INDEPENDENT * sign**weight
@@ -308,7 +195,7 @@ def _likelihood(
 
 def _answer(harder: float, more: float, slides: Array) -> Array:
     """Return the likelihood (n,) of a change of the shear after a change of the grip, relative."""
-    if not abs(harder) > _ANSWER_MIN:
+    if not abs(harder) > ANSWER_MIN:
         return np.ones_like(slides)
     sd = _ANSWER_SD[0] + _ANSWER_SD[1] * abs(harder)
     sticking, sliding = (

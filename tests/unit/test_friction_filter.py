@@ -117,6 +117,62 @@ def test_a_sliding_finger_measures_friction_whatever_the_other_one_does():
     assert held.quantile(0.5) == pytest.approx(0.4, abs=0.04)
 
 
+def steady_hold(drags, count=60):
+    """Return the filter after a hold with these shears, N, at 0.5 N, and errors of 0.5 mN."""
+    rng = np.random.default_rng(0)
+    friction = FrictionFilter()
+    for _ in range(count):
+        errors = 5e-4 * rng.standard_normal(2)
+        friction = friction.after(two_fingers(np.add(drags, errors)), PERIOD)
+    return friction
+
+
+def two_fingers(drags, press=0.5):
+    """Return touches with these shears, N, that do not report slip."""
+    return [touches(drag, press)[0] for drag in drags]
+
+
+def test_shear_that_moves_to_the_other_finger_at_a_constant_grip_is_a_slip():
+    """One finger slides while friction falls: it loses 5 mN, ten times the error of an image, and
+    the other one takes over the load. No finger reports slip yet. The friction coefficient is the
+    utilization of the finger that slides."""
+    held = steady_hold((0.22, 0.19))
+    assert not held.grows
+    slides = held
+    for lost in (0.005, 0.010, 0.016, 0.022):
+        slides = slides.after(two_fingers((0.22 - lost, 0.19 + lost)), PERIOD)
+        assert slides.grows
+    assert slides.quantile(0.5) == pytest.approx(0.198 / 0.5, abs=0.06)
+    first = held.after(two_fingers((0.215, 0.195)), PERIOD)
+    assert first.grip(0.2, RISK) > 1.2 * held.grip(0.2, RISK)
+
+
+@pytest.mark.parametrize(
+    ("drags", "press"),
+    [
+        ((0.12, 0.19), 0.5),  # an outlier: no contact loses half of its shear within one image
+        ((0.28, 0.19), 0.5),  # the other finger's shear is the outlier
+        ((0.21, 0.18), 0.5),  # the load has decreased
+        ((0.215, 0.195), 0.6),  # a firmer grip turns the object
+        ((0.2185, 0.1905), 0.5),  # noise
+    ],
+)
+def test_other_changes_of_shear_are_no_slip(drags, press):
+    held = steady_hold((0.22, 0.19))
+    assert not held.after(two_fingers(drags, press), PERIOD).grows
+
+
+def test_the_hold_itself_sets_the_noise_of_a_moving_shear():
+    """A shaken object moves its shear between the fingers by 10 mN all the time."""
+    friction = steady_hold((0.22, 0.19))
+    signs = []
+    for k in range(60):
+        moved = 0.01 * math.sin(2 * math.pi * 4.0 * k * PERIOD)
+        friction = friction.after(two_fingers((0.22 + moved, 0.19 - moved)), PERIOD)
+        signs.append(friction.grows)
+    assert not any(signs[15:])
+
+
 def test_a_slip_at_a_utilization_that_was_held_is_a_fall():
     """Friction of a steady contact is the utilization at which it slips first; slip where it held
     means that friction has changed, and the fall may continue."""

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import friction
 from benchmarks.friction import EDGES, frequencies, table
-from mjtactile.grasp_estimation.friction_filter import MOVES, NONE, SOME
+from mjtactile.grasp_estimation.slip_signs import MOVES, NONE, SOME
 
 
 def row(used, sign, friction=0.5, harder=0.0, more=0.0):
