@@ -15,7 +15,6 @@
 
 from dataclasses import replace
 from functools import partial
-from math import hypot
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,6 @@ LOADED = 0.25  # minimum load over grip force of an object that may slip out, a 
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.12, 0.3
-GRAVITY = 9.81  # m/s^2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
@@ -107,8 +105,8 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
     load = _stored(LoadEstimator, command).after(touch, observation.period, is_slipping=is_slipping)
     slip_time = 0.0 if is_slipping else memory["slip_time"] + observation.period
     goal = observation.goal
-    inertia = load.worst * goal.acceleration / GRAVITY
-    worst, minimum = hypot(load.worst, goal.push / len(touch), inertia), MIN_FORCE
+    worst = load.expected(len(touch), goal.push, goal.acceleration)
+    minimum = MIN_FORCE
     if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
         worst = load.maximum
         minimum = max(MIN_TEST_FORCE, memory["target"] * (1 - LOOSENING * observation.period))

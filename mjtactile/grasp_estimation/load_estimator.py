@@ -51,6 +51,24 @@ class LoadEstimator:
         """Load on each finger that the grip must hold, N."""
         return max(self.maximum, self.ahead) + _SPARE
 
+    @validated(fingers=not_below(1), push=not_below(0), acceleration=not_below(0))
+    def expected(self, fingers: int, push: float, acceleration: float) -> float:
+        """Return the load on each finger with an announced push and acceleration from any side.
+
+        A measured load includes those that act already, so they add to the weight alone.
+
+        Args:
+            fingers: Number of fingers.
+            push: Maximum push on the object, N.
+            acceleration: Maximum acceleration of the gripper, m/s^2.
+
+        Returns:
+            Load, N; at least `worst`.
+        """
+        weight = self.mass * GRAVITY / fingers + _SPARE if self.mass else self.worst
+        inertia = weight * acceleration / GRAVITY
+        return max(self.worst, math.hypot(weight, push / fingers, inertia))
+
     @validated()
     def hanging(self, touch: Sequence[Touch]) -> LoadEstimator:
         """Store the load direction. From now on the fingers alone carry the load.

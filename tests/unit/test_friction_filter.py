@@ -1,7 +1,7 @@
 """Tests of the friction filter against simulated grips with a known friction coefficient mu(t)."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -127,9 +127,13 @@ def steady_hold(drags, count=60):
     return friction
 
 
-def two_fingers(drags, press=0.5):
-    """Return touches with these shears, N, that do not report slip."""
-    return [touches(drag, press)[0] for drag in drags]
+def two_fingers(drags, presses=(0.5, 0.5), across=0.0):
+    """Return touches that do not report slip, with these forces, N; `across` is the shear of the
+    first one across the load."""
+    pairs = zip(drags, presses, strict=True)
+    first, second = (touches(drag, press)[0] for drag, press in pairs)
+    wrench = first.traction.wrench + np.array([across, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return [replace(first, traction=replace(first.traction, wrench=wrench)), second]
 
 
 def test_shear_that_moves_to_the_other_finger_at_a_constant_grip_is_a_slip():
@@ -148,18 +152,21 @@ def test_shear_that_moves_to_the_other_finger_at_a_constant_grip_is_a_slip():
 
 
 @pytest.mark.parametrize(
-    ("drags", "press"),
+    ("drags", "presses", "across"),
     [
-        ((0.12, 0.19), 0.5),  # an outlier: no contact loses half of its shear within one image
-        ((0.28, 0.19), 0.5),  # the other finger's shear is the outlier
-        ((0.21, 0.18), 0.5),  # the load has decreased
-        ((0.215, 0.195), 0.6),  # a firmer grip turns the object
-        ((0.2185, 0.1905), 0.5),  # noise
+        ((0.12, 0.19), (0.5, 0.5), 0.0),  # no contact loses half of its shear within one image
+        ((0.28, 0.19), (0.5, 0.5), 0.0),  # an outlier of the other finger
+        ((0.215, 0.19), (0.52, 0.5), 0.0),  # an outlier changes the normal force, too
+        ((0.215, 0.19), (0.5, 0.5), 0.01),  # and the shear across the load
+        ((0.21, 0.18), (0.5, 0.5), 0.0),  # the load has decreased
+        ((0.215, 0.195), (0.6, 0.6), 0.0),  # a firmer grip turns the object
+        ((0.2185, 0.1905), (0.5, 0.5), 0.0),  # noise
     ],
 )
-def test_other_changes_of_shear_are_no_slip(drags, press):
+def test_other_changes_of_shear_are_no_slip(drags, presses, across):
     held = steady_hold((0.22, 0.19))
-    assert not held.after(two_fingers(drags, press), PERIOD).grows
+    assert held.after(two_fingers((0.215, 0.19)), PERIOD).grows  # each differs from a slip
+    assert not held.after(two_fingers(drags, presses, across), PERIOD).grows
 
 
 def test_the_hold_itself_sets_the_noise_of_a_moving_shear():

@@ -226,6 +226,23 @@ def test_a_load_grows_with_what_two_images_show():
         assert grown.worst == pytest.approx(0.62, abs=1e-3)
 
 
+def test_an_announced_push_adds_to_the_weight_and_not_to_itself():
+    """0.1 N of weight and 0.3 N of push, from any side, on two fingers. While the push acts, the
+    measured load includes it."""
+    hangs = [touch(0, -0.1, 1.0)] * 2
+    pushed = [touch(0.15, -0.1, 1.0), touch(-0.15, -0.1, 1.0)]
+    load = grasp_estimation.LoadEstimator().after(hangs, 1 / 30)
+    assert load.expected(2, 0.3, 0.0) == pytest.approx(math.hypot(0.12, 0.15))  # standing
+    load = load.hanging(hangs).after(hangs, 1 / 30)
+    before = load.expected(2, 0.3, 0.0)
+    assert before == pytest.approx(math.hypot(0.12, 0.15))
+    assert load.expected(2, 0.0, 9.81) == pytest.approx(math.hypot(0.12, 0.12))
+    for _ in range(30):
+        load = load.after(pushed, 1 / 30)
+    assert load.worst == pytest.approx(math.hypot(0.1, 0.15) + 0.02, abs=2e-3)
+    assert load.expected(2, 0.3, 0.0) == pytest.approx(load.worst)
+
+
 def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
     """A load that has vanished decays with a time constant of 1.5 s, since half of a shake is
     light."""
