@@ -96,7 +96,10 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
     touch = observation.touch
     memory = command.memory
     friction = _stored(FrictionFilter, command).after(
-        touch, observation.period, is_test=memory["risk"] == TEST_RISK
+        touch,
+        observation.period,
+        is_test=memory["risk"] == TEST_RISK,
+        is_hanging=len(_stored(LoadEstimator, command).down) > 0,
     )
     frames = _stored(FrameLoadEstimator, command).after(
         touch, observation.gripper.effort, observation.period
@@ -105,8 +108,7 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
     load = _stored(LoadEstimator, command).after(touch, observation.period, is_slipping=is_slipping)
     slip_time = 0.0 if is_slipping else memory["slip_time"] + observation.period
     goal = observation.goal
-    worst = load.expected(len(touch), goal.push, goal.acceleration)
-    minimum = MIN_FORCE
+    worst, minimum = load.expected(len(touch), goal.push, goal.acceleration), MIN_FORCE
     if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
         worst = load.maximum
         minimum = max(MIN_TEST_FORCE, memory["target"] * (1 - LOOSENING * observation.period))

@@ -65,7 +65,12 @@ class FrictionFilter(SlipSigns):
 
     @validated(period=above(0))
     def after(
-        self, touch: Sequence[Touch], period: float, *, is_test: bool = False
+        self,
+        touch: Sequence[Touch],
+        period: float,
+        *,
+        is_test: bool = False,
+        is_hanging: bool = True,
     ) -> FrictionFilter:
         """Update with one image.
 
@@ -73,12 +78,13 @@ class FrictionFilter(SlipSigns):
             touch: Current touches.
             period: Time since the previous image, s.
             is_test: True while the grip is loosened on purpose, so that no slip is evidence.
+            is_hanging: True if the fingers alone carry the object, so that a loss of shear is slip.
 
         Returns:
             The updated filter; without a usable image only the prediction.
         """
         predicted = _transition(period) @ self._posterior()
-        signs = self.signs(touch, period)
+        signs = self.signs(touch, period, is_hanging=is_hanging)
         if signs is None:
             return replace(self, weights=predicted.tolist())
         was_held = signs.drag < _SAME * self.held * signs.press

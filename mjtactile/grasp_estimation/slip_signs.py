@@ -95,8 +95,13 @@ class SlipSigns:
     forces: Sequence[Sequence[float]] = ()
     spread: float = _SPREAD_MIN
 
-    def signs(self, touch: Sequence[Touch], period: float) -> Signs | None:
-        """Return the evidence of an image; None without a known grip force."""
+    def signs(
+        self, touch: Sequence[Touch], period: float, *, is_hanging: bool = True
+    ) -> Signs | None:
+        """Return the evidence of an image; None without a known grip force.
+
+        A table takes shear from the fingers as well: its loss counts if the object `is_hanging`.
+        """
         normals = [estimate.force_normal for estimate in touch]
         press = float(np.mean(normals))
         forces = np.column_stack([shear(touch), normals])
@@ -128,13 +133,13 @@ class SlipSigns:
         slid, speed = max(recent), 0.0
         if slip == SOME:
             slid = float(utilization[slides].mean())
-        transferred, loses = self._transfer(forces)
-        loses &= abs(changes[0]) < ANSWER_MIN
+        moved, loses = self._transfer(forces)
+        loses &= is_hanging and abs(changes[0]) < ANSWER_MIN
         if (moves := (slides & grows) | loses).any():
             slip, slid = MOVES, float(utilization[moves].mean())
             speed = max(float(np.subtract(distances, self.distances)[moves].max()) / period, 0.0)
-        shown = [press, drag, recent, distances, slip, ages, *changes, slid, speed]
-        return Signs(*shown, forces.tolist(), transferred)
+        evidence = (slip, ages, *changes, slid, speed, forces.tolist(), moved)
+        return Signs(press, drag, recent, distances, *evidence)
 
     def _transfer(self, forces: Array) -> tuple[float, NDArray[np.bool_]]:
         """Return the shear that moved between the fingers, N, and (n,) if a finger lost it."""

@@ -132,6 +132,7 @@ def two_fingers(drags, presses=(0.5, 0.5), across=0.0):
     first one across the load."""
     pairs = zip(drags, presses, strict=True)
     first, second = (touches(drag, press)[0] for drag, press in pairs)
+    assert first.traction is not None
     wrench = first.traction.wrench + np.array([across, 0.0, 0.0, 0.0, 0.0, 0.0])
     return [replace(first, traction=replace(first.traction, wrench=wrench)), second]
 
@@ -147,6 +148,8 @@ def test_shear_that_moves_to_the_other_finger_at_a_constant_grip_is_a_slip():
         slides = slides.after(two_fingers((0.22 - lost, 0.19 + lost)), PERIOD)
         assert slides.grows
     assert slides.quantile(0.5) == pytest.approx(0.198 / 0.5, abs=0.06)
+    # a table takes shear as well
+    assert not held.after(two_fingers((0.215, 0.195)), PERIOD, is_hanging=False).grows
     first = held.after(two_fingers((0.215, 0.195)), PERIOD)
     assert first.grip(0.2, RISK) > 1.2 * held.grip(0.2, RISK)
 
