@@ -140,6 +140,30 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
         swept: The JSON's object of a sweep.
     """
     axes = figure.subplots()
+    count = _plot_candidates(figure, axes, swept)
+    initial = swept["initial"]["performance"]
+    if initial is not None:
+        axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
+    required = swept["requirements"]["edge_mm"]
+    if required is not None:
+        axes.axhline(required, color="0.6", ls=":", label="required sd of an edge")
+    axes.set(
+        xlabel=f"sd of a force of {swept['force_N']:g} N, mN",
+        ylabel="sd of an edge position, mm",
+        xscale="log",
+        yscale="log",
+        title=f"{count} designs, predicted",
+    )
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}")
+    axes.tick_params(which="minor", labelsize=7)
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize=8)
+
+
+def _plot_candidates(figure: Any, axes: Any, swept: Mapping[str, Any]) -> int:
+    """Plot the designs that show edges, with the front marked. Return their number."""
     candidates = [
         candidate
         for candidate in swept["candidates"]
@@ -169,22 +193,4 @@ def plot_front(figure: Any, swept: Mapping[str, Any]) -> None:
         mec="k",
         label="Pareto front (force, edge, markers)",
     )
-    initial = swept["initial"]["performance"]
-    if initial is not None:
-        axes.plot(initial["force_sd_mN"], initial["edge_sd_mm"], "r*", ms=14, label=swept["sensor"])
-    required = swept["requirements"]["edge_mm"]
-    if required is not None:
-        axes.axhline(required, color="0.6", ls=":", label="required sd of an edge")
-    axes.set(
-        xlabel=f"sd of a force of {swept['force_N']:g} N, mN",
-        ylabel="sd of an edge position, mm",
-        xscale="log",
-        yscale="log",
-        title=f"{len(candidates)} designs, predicted",
-    )
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:g}")
-    axes.tick_params(which="minor", labelsize=7)
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=8)
+    return len(candidates)

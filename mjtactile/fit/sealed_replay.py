@@ -9,7 +9,7 @@ compliance give the pressures (docs/theory/gas.md, G1 and G4-G6).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,17 +226,21 @@ def membrane_errors(
         if (name := first_touch(recording.evidence)) in effects
         for during in _holds(recording.evidence)
     ]
+    return MembraneErrors([*_independent(effects, membrane), *contacts], shift)
+
+
+def _independent(effects: Mapping[str, list[Array]], membrane: MembraneFit) -> list[list[Array]]:
+    """Return the independent modes of correlated errors with these effects of one sd."""
     if not effects:
-        return MembraneErrors([], shift)
+        return []
     rows = [membrane.names.index(name) for name in effects]
     scale = np.sqrt(np.diag(membrane.cov))[rows]
     spread, axes = np.linalg.eigh(membrane.cov[np.ix_(rows, rows)] / np.outer(scale, scale))
     roots = axes * np.sqrt(np.maximum(spread, 0.0))
-    modes = [
+    return [
         [np.tensordot(root, np.array(parts), 1) for parts in zip(*effects.values(), strict=True)]
         for root in roots.T
     ]
-    return MembraneErrors([*modes, *contacts], shift)
 
 
 def _holds(evidence: Evidence) -> list[Array]:

@@ -73,28 +73,40 @@ def write_figure(
         **sides,
     )
     figure.suptitle(title, fontsize=14 if columns > 2 else 11, fontweight="bold", y=0.99)
-    if snapshot is None:
-        axes = figure.add_subplot(grid[:, :])
-        axes.set_axis_off()
-        axes.text(
-            0.5, 0.5, "the run ended before the first image", ha="center", transform=axes.transAxes
-        )
-    else:
-        if scene is not None:
-            axes = figure.add_subplot(grid[:, 0])
-            render_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
-            axes.set_title(
-                f"scene at t = {snapshot.time:.2f} s, with the estimated forces", fontsize=11
-            )
-        for finger, name in enumerate(recording.fingers[:fingers]):
-            column = columns - fingers + finger
-            _plot_finger(figure, grid[:, column], snapshot, finger, name, scene)
+    _plot_cycle(figure, grid, recording, snapshot, scene)
     below = figure.add_gridspec(1, 1, top=0.3, bottom=0.045, **sides)
     _plot_forces(figure.add_subplot(below[0]), recording, snapshot)
     part = path.with_name(path.name + ".part")
     # a third of the default's time
     figure.savefig(part, format="png", pil_kwargs={"compress_level": 3})
     part.replace(path)
+
+
+def _plot_cycle(
+    figure: Any,
+    grid: Any,
+    recording: Recording,
+    snapshot: CycleLike | None,
+    scene: SceneCamera | None,
+) -> None:
+    """Plot scene and fingers of the cycle `snapshot`, each in a grid column."""
+    if snapshot is None:
+        axes = figure.add_subplot(grid[:, :])
+        axes.set_axis_off()
+        axes.text(
+            0.5, 0.5, "the run ended before the first image", ha="center", transform=axes.transAxes
+        )
+        return
+    if scene is not None:
+        axes = figure.add_subplot(grid[:, 0])
+        render_scene(axes, scene, snapshot.touch, FINGER_COLOURS)
+        axes.set_title(
+            f"scene at t = {snapshot.time:.2f} s, with the estimated forces", fontsize=11
+        )
+    fingers = len(snapshot.touch)
+    for finger, name in enumerate(recording.fingers[:fingers]):
+        column = grid.ncols - fingers + finger
+        _plot_finger(figure, grid[:, column], snapshot, finger, name, scene)
 
 
 def _plot_finger(

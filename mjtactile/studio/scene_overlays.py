@@ -108,7 +108,7 @@ def update(
 ) -> None:
     """Render the overlays of all fingers with a known pose.
 
-    Surfaces are restricted to parts above the fraction `least` of the color scale (0: all).
+    Surfaces are restricted to parts above the fraction `minimum` of the color scale (0: all).
     """
     brush.start()
     fields = [
@@ -232,7 +232,7 @@ def keep(
     added: list[mujoco.MjvGeom],
     maximum: int,
 ) -> None:
-    """Replace `mine` by `added` in the viewer's list, up to `most` geoms in total.
+    """Replace `mine` by `added` in the viewer's list, up to `maximum` geoms in total.
 
     The list also holds geoms of other plugins.
     """

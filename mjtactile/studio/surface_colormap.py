@@ -143,7 +143,7 @@ def surface_geom(
     """Return triangles of the estimated surface: corners (m, 3, 3) m in S, colors (m, 3) from 0 to
     1.
 
-    Return None without a surface. If `least` is not 0, only triangles above that fraction of the
+    Return None without a surface. If `minimum` is not 0, only triangles above that fraction of the
     scale are included.
     """
     surface = estimated.touch.surface

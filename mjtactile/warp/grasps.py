@@ -150,19 +150,22 @@ class Grasps:
         is_randomized = self.scenario.randomization != NONE
         self._errors = error_model(load_errors(self.rig.fingers[0].design, is_randomized))
         self._estimates = zeros_of(Estimates, worlds * self.fingers, wrench=6, slow=6)
-        self._limits = limits_of(self.rig, load_task(self.scenario.task).goal.task_goal())
+        task = load_task(self.scenario.task)
+        self._limits = limits_of(self.rig, task.goal.task_goal())
         maximum = policy.policy_bounds(self.fingers)
         self._maximum = wp.array(maximum.astype(np.float32), dtype=float)
         self.observation = wp.zeros((worlds, len(maximum)), dtype=float)
+        self._build_rewards(rewards, progress, time_limit)
+        self._is_plain = not task.disturbances and task.success == SuccessCriteria()
+        self._criteria = criteria_of(task.success)
+        self._body = self.model.body(f"{PREFIX}object").id
+
+    def _build_rewards(self, rewards: dict[str, float], progress: Any, time_limit: float) -> None:
         paid = [rewards.get(name, 0.0) for name in OUTCOMES]
         self._rewards = wp.array(np.array(paid, np.float32), dtype=float)
         table = np.array(progress, np.float32).reshape(-1, 2)
         self._progress = wp.array(table, dtype=float)
         self._time_limit = time_limit
-        task = load_task(self.scenario.task)
-        self._is_plain = not task.disturbances and task.success == SuccessCriteria()
-        self._criteria = criteria_of(task.success)
-        self._body = self.model.body(f"{PREFIX}object").id
 
     def reset(self, seed: int, mask: Any = None) -> None:
         """Start the episodes of `seed`, seed + 1, … in all worlds.

@@ -112,16 +112,7 @@ def objects_of(
     model: mujoco.MjModel, mix: Sequence[MixedObject], geoms: Sequence[int], free: Sequence[int]
 ) -> Any:
     """Return the values of all objects for the `geoms` and `free` bodies of a scene's model."""
-    prefixes = [PREFIX if item.model is model else "" for item in mix]
-    slot_tables = [
-        dict(slots_of(item.model, prefix)) for item, prefix in zip(mix, prefixes, strict=True)
-    ]
-    slots = {geom: slot for slot, geom in slots_of(model, PREFIX)}
-    found = [[table.get(slots[geom], -1) for geom in geoms] for table in slot_tables]
-    bodies = [
-        [item.model.body(prefix + model.body(b).name.removeprefix(PREFIX)).id for b in free]
-        for item, prefix in zip(mix, prefixes, strict=True)
-    ]
+    found, bodies = _matches(model, mix, geoms, free)
 
     def of_geoms(name: str, absent: Any) -> Array:
         return np.array(
@@ -147,14 +138,10 @@ def objects_of(
     boxes = of_geoms("geom_aabb", [0.0, 0.0, 0.0, _TINY, _TINY, _TINY])
     objects.box = vectors(boxes.reshape(*boxes.shape[:2], 2, 3))
     objects.mesh = wp.array(_meshes(model, mix, found), dtype=int)
-    objects.mass, objects.inertia = (
-        floats(of_bodies("body_mass")),
-        vectors(of_bodies("body_inertia")),
-    )
-    objects.ipos, objects.iquat = (
-        vectors(of_bodies("body_ipos")),
-        quaternions(of_bodies("body_iquat")),
-    )
+    objects.mass = floats(of_bodies("body_mass"))
+    objects.inertia = vectors(of_bodies("body_inertia"))
+    objects.ipos = vectors(of_bodies("body_ipos"))
+    objects.iquat = quaternions(of_bodies("body_iquat"))
     objects.lightness = wp.array(of_bodies("body_invweight0").astype(np.float32), dtype=wp.vec2)
     dofs = [[item.model.body_dofadr[b] for b in row] for item, row in zip(mix, bodies, strict=True)]
     objects.diagonal = floats(
@@ -162,6 +149,21 @@ def objects_of(
     )
     objects.rise = floats([item.grasped.grasp_height - mix[0].grasped.grasp_height for item in mix])
     return objects
+
+
+def _matches(
+    model: mujoco.MjModel, mix: Sequence[MixedObject], geoms: Sequence[int], free: Sequence[int]
+) -> tuple[list[list[int]], list[list[int]]]:
+    """Return each object's geoms (-1: absent) and bodies for those of a scene's model."""
+    slots = {geom: slot for slot, geom in slots_of(model, PREFIX)}
+    found, bodies = [], []
+    for item in mix:
+        prefix = PREFIX if item.model is model else ""
+        table = dict(slots_of(item.model, prefix))
+        found.append([table.get(slots[geom], -1) for geom in geoms])
+        names = [model.body(b).name.removeprefix(PREFIX) for b in free]
+        bodies.append([item.model.body(prefix + name).id for name in names])
+    return found, bodies
 
 
 def _meshes(model: mujoco.MjModel, mix: Sequence[MixedObject], found: Sequence[Any]) -> Array:

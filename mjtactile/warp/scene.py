@@ -155,13 +155,19 @@ def _sensor_geoms(
     sensor_geoms.rbound, sensor_geoms.box = m.geom_rbound, m.geom_aabb
     sensor_geoms.radius = radius
     sensor_geoms.mesh = m.geom_dataid
+    first, count, planes = _plane_table(model, touchable)
+    sensor_geoms.first, sensor_geoms.count = wp.array(first, dtype=int), wp.array(count, dtype=int)
+    return sensor_geoms, planes
+
+
+def _plane_table(model: mujoco.MjModel, geoms: set[int]) -> tuple[Array, Array, Array]:
+    """Return first row and count of each mesh in the table of planes, and the table (n, 4)."""
     first, count = np.zeros((2, max(model.nmesh, 1)), np.int32)
     planes = []
-    for mesh in _meshes(model, touchable):
+    for mesh in _meshes(model, geoms):
         planes.append(_planes(model, mesh))
         first[mesh], count[mesh] = sum(len(rows) for rows in planes[:-1]), len(planes[-1])
-    sensor_geoms.first, sensor_geoms.count = wp.array(first, dtype=int), wp.array(count, dtype=int)
-    return sensor_geoms, np.concatenate(planes) if planes else np.zeros((1, 4))
+    return first, count, np.concatenate(planes) if planes else np.zeros((1, 4))
 
 
 def _require_ball(model: mujoco.MjModel, geom: int, spacing: float) -> None:

@@ -68,6 +68,22 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
         )
         return
     yield _identity(subject, model_number, report, model)
+    yield from _check_settings(subject, report)
+    if report.hardware_error:
+        yield Finding(
+            "bad",
+            subject,
+            f"has latched {report.hardware_error}",
+            "find the cause, then switch its power off and on",
+        )
+    if report.temperature >= _HOT:
+        yield Finding(
+            "warn", subject, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N"
+        )
+
+
+def _check_settings(subject: str, report: ServoReport) -> Iterator[Finding]:
+    """Check a servo's settings, and that its firmware can stop it."""
     for name, requested, meaning in REQUIRED:
         if report.settings.get(name, requested) != requested:
             yield Finding(
@@ -84,17 +100,6 @@ def check_servo(bus: DynamixelBus, servo: int, model: str) -> Iterator[Finding]:
             "stop the servo",
             "update the firmware with Dynamixel Wizard; until then the servo keeps its last "
             "goal and force when the host is lost",
-        )
-    if report.hardware_error:
-        yield Finding(
-            "bad",
-            subject,
-            f"has latched {report.hardware_error}",
-            "find the cause, then switch its power off and on",
-        )
-    if report.temperature >= _HOT:
-        yield Finding(
-            "warn", subject, f"is hot: {report.temperature:.0f} C", "let it cool; lower force_max_N"
         )
 
 

@@ -82,20 +82,24 @@ class DynamixelGripper:
         if lift_model is not None:
             self._servos[lift.id] = Servo(self.bus, lift.id, lift_model)
         try:
-            for servo in self._servos.values():
-                servo.check_identity(bus.baud)
-            for servo in self._servos.values():
-                servo.prepare(
-                    lambda ticks, s=servo: self._find_place(s, ticks),
-                    self._current_limit(servo),
-                    self._first_current,
-                    self._p_gain(servo),
-                )
+            self._prepare()
             self._refresh()
         except BaseException:
             self.close(quiet=True)
             raise
         self._keeper.start()
+
+    def _prepare(self) -> None:
+        """Check all servos, then turn their torque on."""
+        for servo in self._servos.values():
+            servo.check_identity(self._bus_config.baud)
+        for servo in self._servos.values():
+            servo.prepare(
+                lambda ticks, s=servo: self._find_place(s, ticks),
+                self._current_limit(servo),
+                self._first_current,
+                self._p_gain(servo),
+            )
 
     # -- the rig's protocol
 

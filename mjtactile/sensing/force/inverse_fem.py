@@ -156,7 +156,6 @@ class InverseMembrane(LoadedMembrane):
         drift explain the remaining motion of the markers. `detected` (m, 3), m, are the positions
         observed by the camera as assumed."""
         ids = markers.ids
-        m = len(markers)
         slopes_off = None
         data = detected - self._material[ids]
         state = self.state(c, rest)
@@ -182,11 +181,6 @@ class InverseMembrane(LoadedMembrane):
         traction /= self._density
         if gain.mean is not None:
             traction += gain.mean.traction
-        excess = np.zeros((2, len(self._material)))
-        excess[0, ids] = gain.distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
-        if self._slopes is not None:
-            squares = (noise[3 * m :].reshape(-1, 2) ** 2).mean(axis=1)
-            excess[1, ids] = gain.distrust[1] ** 2 * squares
         return Shape(
             c=c,
             traction=traction,
@@ -194,10 +188,20 @@ class InverseMembrane(LoadedMembrane):
             misfit=float(misfit @ noise) / len(misfit),
             gain=gain,
             steps=count,
-            excess=excess,
+            excess=self._excess(ids, noise, gain.distrust),
             drift=drift_of(drift, gain.observed_drift),
             camera=drift[1:],
         )
+
+    def _excess(self, ids: NDArray[np.int64], noise: Array, distrust: Array) -> Array:
+        """Return the squares of each marker's misfits (2, n): of its position, of its slope."""
+        m = len(ids)
+        excess = np.zeros((2, len(self._material)))
+        excess[0, ids] = distrust[0] ** 2 * (noise[: 3 * m].reshape(-1, 3) ** 2).mean(axis=1)
+        if self._slopes is not None:
+            squares = (noise[3 * m :].reshape(-1, 2) ** 2).mean(axis=1)
+            excess[1, ids] = distrust[1] ** 2 * squares
+        return excess
 
     def _nodes(self, correlation: float) -> tuple[Any, ...]:
         """Return the kernel arguments for the nodes, with the roots of a prior with this

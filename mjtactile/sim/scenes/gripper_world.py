@@ -11,6 +11,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.gripper_path import GripperPath
+from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
 from mjtactile.rig.jaw_transmission import JawLaw
 from mjtactile.rig.simulated import SimRigFile
@@ -76,11 +77,7 @@ class GripperWorld(World):
 
         def height(rotations: Array) -> float:
             for design, R_WS in zip(designs, rotations, strict=True):
-                frame = design.frame
-                half = abs(R_WS[2, 0]) * (frame.length / 2 + frame.rim) + abs(R_WS[2, 1]) * (
-                    frame.width / 2 + frame.rim
-                )
-                self._check_clearance(tip_height, half)
+                self._check_clearance(tip_height, _half_height(design.frame, R_WS))
             return rig.table_height + tip_height
 
         self.start = plan_start(robot, rig, bodies, opening, height, coordinates, mocap, grip)
@@ -294,6 +291,12 @@ class GripperWorld(World):
         self._lift.drive(0.0)
         for actuator_id in np.flatnonzero(self.model.actuator_actnum == 1):
             self.data.act[self.model.actuator_actadr[actuator_id]] = self.data.ctrl[actuator_id]
+
+
+def _half_height(frame: Frame, R_WS: Array) -> float:
+    """Return how far a sensor's frame reaches below its centre, m."""
+    length, width = frame.length / 2 + frame.rim, frame.width / 2 + frame.rim
+    return abs(R_WS[2, 0]) * length + abs(R_WS[2, 1]) * width
 
 
 def _nearer(start: float, goal: float, maximum: float) -> float:

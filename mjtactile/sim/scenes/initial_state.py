@@ -271,25 +271,17 @@ def _plan_path(
         mujoco.mj_fwdVelocity(model, moving)
         return np.array([_goal_under_gravity(moving, actuator) for actuator in actuators]), rest
 
-    def refusal(target: Array, rest: float, where: str, field: str) -> InputError:
-        text = (
-            f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, and "
-            f"{1e3 * rest:.1f} mm or mrad remain"
-        )
-        return InputError(text, source=rig.path, field=field)
-
     goals = []
     joints = []
     for height in heights:
         target = centre + [0.0, 0.0, raised + height]
         goal, rest = solve_pose(target, R_WH)
-        if rest > _TOLERANCE:
-            if height == 0:
-                raise refusal(target, rest, "the table", "lift.kind")
-            where = f"{1e3 * height:.0f} mm above its start"
-            raise refusal(target, rest, where, "lift.travel_mm")
         if height == 0:
+            _require_reached(rig, target, rest, "the table", "lift.kind")
             data.qpos[:] = moving.qpos
+        else:
+            where = f"{1e3 * height:.0f} mm above its start"
+            _require_reached(rig, target, rest, where, "lift.travel_mm")
         joints.append(moving.qpos.copy())
         goals.append(goal)
 
@@ -298,12 +290,21 @@ def _plan_path(
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, _turn(yaw, displacement[3]))
         goal, rest = solve_pose(centre + offset, rotation.reshape(3, 3) @ R_WH)
-        if rest > _TOLERANCE:
-            raise refusal(centre + offset, rest, "a waypoint of the task", "lift.kind")
+        _require_reached(rig, centre + offset, rest, "a waypoint of the task", "lift.kind")
         return goal
 
     names = tuple(actuator.name for actuator in actuators)
     return ArmPath(names, heights, np.array(goals), np.array(joints), displaced)
+
+
+def _require_reached(rig: SimRigFile, target: Array, rest: float, where: str, field: str) -> None:
+    """Raise InputError if the remaining error of a posture for `target` is too large."""
+    if rest > _TOLERANCE:
+        text = (
+            f"the arm does not reach {where}: the fingertips would be at {_mm(target)} mm, and "
+            f"{1e3 * rest:.1f} mm or mrad remain"
+        )
+        raise InputError(text, source=rig.path, field=field)
 
 
 def path_axes(start: Start) -> Array:

@@ -20,6 +20,7 @@ from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
 from mjtactile.quasistatic import MembraneStatus
 from mjtactile.quasistatic.incremental import IncrementalMembrane
+from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor import feature_size, validity_checks
 from mjtactile.sim.sensor.base_sensor import BaseSensor
 from mjtactile.sim.sensor.effect_switches import Effect
@@ -76,18 +77,8 @@ class QuasistaticSensor(BaseSensor):
             membrane, self._geoms.rows, self._geoms.pool, below_rim=math.inf
         )
         self._sticking = sticking_of(membrane)
-        self._given = np.array(  # as `PredictionReport` of kernels/qs_friction.h has it
-            [
-                design.membrane.friction if Effect.FRICTION in effects else 0.0,
-                bulge_stiffness(membrane),
-                0.0,
-                float(model.opt.timestep),
-                math.sqrt(design.frame.area / math.pi),
-                min(membrane.x[1] - membrane.x[0], membrane.y[1] - membrane.y[0]),
-                math.nan,
-                extent,
-            ]
-        )
+        friction = design.membrane.friction if Effect.FRICTION in effects else 0.0
+        self._given = _report(design, membrane, friction, model.opt.timestep, extent)
         self._numbers = np.zeros(STATE.itemsize // 8)
         self._state = self._numbers.view(STATE)[0]
         count = len(self._geoms.bodies)
@@ -394,6 +385,28 @@ class QuasistaticSensor(BaseSensor):
         if row < 0:
             return "an object"
         return repr(feature_size.name_of(self._model, int(self._geoms.ids[row])))
+
+
+def _report(
+    design: SensorDesign,
+    membrane: QuasistaticMembrane,
+    friction: float,
+    timestep: float,
+    extent: float,
+) -> Array:
+    """Return the constants of the kernels, as `PredictionReport` of kernels/qs_friction.h."""
+    return np.array(
+        [
+            friction,
+            bulge_stiffness(membrane),
+            0.0,
+            timestep,
+            math.sqrt(design.frame.area / math.pi),
+            min(membrane.x[1] - membrane.x[0], membrane.y[1] - membrane.y[0]),
+            math.nan,
+            extent,
+        ]
+    )
 
 
 _REASONS = {
