@@ -18,7 +18,7 @@ from rsl_rl.runners import OnPolicyRunner  # pyright: ignore[reportMissingImport
 from mjtactile.gym.rsl_rl_worlds import RslRlWorlds
 from mjtactile.gym.wrappers import save_policy
 
-COARSE = {"nodes": (9, 7), "timestep": 4.2e-3}  # a tenth of the time; + 5 % force
+COARSE = {"nodes": (9, 7), "timestep": 4.2e-3}  # a tenth of the time; + 8 % force
 TASK = {"object": "random", "randomization": "default", "reward": "progress", "time_limit": 12.0}
 LEARNER = {
     "num_steps_per_env": 8,

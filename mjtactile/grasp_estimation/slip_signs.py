@@ -167,7 +167,7 @@ class SlipSigns:
 
     @property
     def grows(self) -> bool:
-        """The distance of a finger that reports slip grew in the last image."""
+        """True if a finger moved in the last image: its distance grew, or it lost shear."""
         return self.slip == MOVES
 
     @property
@@ -200,7 +200,7 @@ class SlipSigns:
 
 @validated()
 def slip_sign(touch: Sequence[Touch]) -> int:
-    """Return `NONE`, `SOME` or `ALL`: how many of the fingers in contact report slip."""
+    """Return `ALL`, `SOME` or `NONE` if all, some or none of the fingers in contact report slip."""
     states = [estimate.slip.state for estimate in touch if estimate.slip is not None]
     slips = [state == "slipping" for state in states if state not in ("none", "unknown")]
     return NONE if not any(slips) else ALL if all(slips) else SOME

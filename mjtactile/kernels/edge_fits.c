@@ -192,15 +192,15 @@ static double iterate(const Pixels *p, double *theta, const Settings *s, int rob
 int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts, const float *x, const float *y, const float *observed,
                   const double *settings, double *thetas, double *normals, double *sums) {
     Settings s;
-    int64_t most = 0, left = all;
+    int64_t longest = 0, left = all;
     memcpy(&s, settings, sizeof s);
     for (int64_t i = 0; i < n; i++) {
         if (counts[i] < 1 || counts[i] > left) return REFUSED;
         left -= counts[i];
-        if (counts[i] > most) most = counts[i];
+        if (counts[i] > longest) longest = counts[i];
     }
     if (left || !(s.stride >= 1 && s.stride < 1e9 && s.steps >= 0 && s.steps < 1000)) return REFUSED;
-    int64_t room = (most + 15) / 16 * 16, stride = (int64_t)s.stride;
+    int64_t room = (longest + 15) / 16 * 16, stride = (int64_t)s.stride;
     float *work = malloc((16 * room + 16) * sizeof *work);
     if (!work) return NO_MEMORY;
     float *weighted = work + 12 * room, *some = work + 13 * room;
