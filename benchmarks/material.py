@@ -21,7 +21,7 @@ from mjtactile.core.scenario import Scenario
 from mjtactile.recording.files import write_json
 from mjtactile.report.figures import new_figure
 from mjtactile.runtime.probe import ProbeResult, run_probe
-from tools.material_samples import Kind, MaterialSample, to_mjcf
+from mjtactile.sim.scenes.material_samples import Kind, MaterialSample, to_mjcf
 
 FIRST_SEED = 4000
 KINDS: tuple[Kind, ...] = ("rigid", "elastic", "viscoelastic", "plastic")

@@ -18,20 +18,20 @@ FIGURE = ROOT / "docs" / "images" / "architecture.svg"
 
 ROOMS = {
     "cli": "the command line",
-    "commands": "a module a command",
-    "studio": "a session, watched live",
+    "commands": "one module per command",
+    "studio": "live view of a session",
     "explore": "whole objects by touch",
-    "design_study": "what a sensor file reaches, predicted",
-    "sim_comparison": "a run beside its simulation",
+    "design_study": "predicted performance of sensor files",
+    "sim_comparison": "run and simulation",
     "experiments": "the paper's figures",
     "evaluate": "many grasps, statistics",
     "gym": "Gymnasium",
     "warp": "thousands of worlds on one GPU",
     "fabrication": "drawings, CAD",
-    "calibrate": "measured once",
+    "calibrate": "camera, force, valve",
     "plugin": "your own scene",
     "doctor": "checks of a rig",
-    "fit": "to recordings",
+    "fit": "identification",
     "export": "LeRobot, MCAP",
     "report": "images and pages of a run",
     "runtime": "control loop, supervisor, grasp, probe",
@@ -42,7 +42,7 @@ ROOMS = {
     "sensing": "pixels to touch",
     "types": "inputs of a controller",
     "rig": "Protocols: fingers, gripper, lift",
-    "recording": "written, and read again",
+    "recording": "writer and reader",
     "quasistatic": "a membrane over gas, on obstacles",
     "grasp_estimation": "weight and friction of a held object",
     "kernels": "loops in C",
@@ -115,8 +115,8 @@ def render(pyproject: str) -> str:
     top = 78
     left = WIDTH - SIDE - 3 * MARGIN
     parts = [
-        _text(MARGIN, 30, "mjtactile: what may import what", size=19, weight="bold"),
-        _text(MARGIN, 54, "A room imports what lies on the floors below it, and never upwards."),
+        _text(MARGIN, 30, "mjtactile: allowed imports", size=19, weight="bold"),
+        _text(MARGIN, 54, "A package imports packages of lower rows only."),
     ]
     for k, floor in enumerate(house):
         parts += _row(floor, MARGIN, top + k * FLOOR, left, FLOOR - GAP, with_mujoco)
@@ -207,8 +207,8 @@ def _lines(floor: Floor, longest: int = 52) -> list[str]:
 def _legend(x: float, y: float) -> list[str]:
     sentences = (
         "Boxes with a space between them do not import each other; boxes that touch may.",
-        "Only the rooms marked mujoco import it. sim/truth is for scoring alone.",
-        "Controllers import mjtactile.types and nothing else; examples the public names.",
+        "Only the packages marked mujoco import it. sim/ground_truth is for scoring only.",
+        "Controllers import mjtactile.types and grasp_estimation; examples import public names.",
     )
     return [_text(x, y + 18 * k, sentence, size=12.5) for k, sentence in enumerate(sentences)]
 

@@ -7,9 +7,9 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core import resources
+from mjtactile.sim.scenes.material_samples import SHIPPED, to_mjcf
 from mjtactile.sim.scenes.objects import MATERIALS, load_object
 from tests.emulated_host import shipped_with
-from tools.material_samples import SHIPPED, to_mjcf
 
 
 @pytest.fixture

@@ -7,8 +7,14 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
 from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.scenes.soft_bodies import (
+    SHIPPED,
+    SoftBody,
+    tetrahedra,
+    tetrahedron_volumes,
+    to_mjcf,
+)
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
-from tools.soft_bodies import SHIPPED, SoftBody, tetrahedra, tetrahedron_volumes, to_mjcf
 
 E = 2e4
 NU = 0.45

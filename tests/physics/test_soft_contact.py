@@ -8,7 +8,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.grasp_world import GraspWorld
-from tools.soft_bodies import SHIPPED
+from mjtactile.sim.scenes.soft_bodies import SHIPPED
 
 
 def squeezed(path, opening):

@@ -101,7 +101,7 @@ def to_mjcf(sample: MaterialSample, name: str, comment: str = "") -> str:
     foot = s.height / 2 + 0.002
     slim = 0.2 * s.length
     return f"""<!-- {comment or name}
-     Units: m, kg, N, s. Lumped model, made by tools/material_samples.py;
+     Units: m, kg, N, s. Lumped model, made by mjtactile.sim.scenes.material_samples;
      docs/reference/object_files.md says what it stands for. -->
 <mujoco model="{name}">
   <custom>

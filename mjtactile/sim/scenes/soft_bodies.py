@@ -159,7 +159,7 @@ def to_mjcf(body: SoftBody, name: str, comment: str = "") -> str:
         f'          element="{_rows(elements)}"'
     )
     return f"""<!-- {comment or name}
-     Units: m, kg, N, s, Pa. Finite elements, made by tools/soft_bodies.py;
+     Units: m, kg, N, s, Pa. Finite elements, made by mjtactile.sim.scenes.soft_bodies;
      docs/reference/object_files.md says how far they go.
      The mesh of tetrahedra is what touches and is seen;
      the lattice of {"x".join(map(str, body.lattice))} cells is what deforms.
