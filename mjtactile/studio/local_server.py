@@ -7,6 +7,7 @@ send messages. There is no option against that either.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -22,6 +23,7 @@ from mujoco.studio import (
 from mujoco.studio.web import web_server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from mjtactile.core.loopback import LOOPBACK, refusal
@@ -59,6 +61,17 @@ def serve(*args: Any, process_request: Any, process_response: Any, **options: An
 
 
 web_server.serve = serve
+
+
+def is_fault(record: logging.LogRecord) -> bool:
+    """Return False if the record reports only that a page closed while data was sent to it.
+
+    MuJoCo's server leaves this exception in a task, which asyncio logs with a traceback.
+    """
+    return not (record.exc_info and isinstance(record.exc_info[1], ConnectionClosed))
+
+
+logging.getLogger("asyncio").addFilter(is_fault)
 
 
 class LoopbackViewer(web_viewer.WebViewer):

@@ -1,11 +1,14 @@
 """Studio's server answers its own pages and no other site's, whatever way these ask."""
 
+import asyncio
 import contextlib
+import gc
 import http.client
 import socket
 
 import pytest
 from mujoco.studio.web import web_server
+from websockets.exceptions import ConnectionClosedOK
 
 from mjtactile.studio import local_server
 from tests.emulated import wait_for
@@ -93,3 +96,22 @@ def test_a_page_that_connects_is_known_and_a_stranger_is_none(port):
     assert not local_server.checked_at.is_set()
     get(port, "/state?sid=1")
     assert local_server.checked_at.is_set()
+
+
+@pytest.mark.parametrize(("error", "is_logged"), [(ConnectionClosedOK, False), (OSError, True)])
+def test_a_page_that_closes_while_data_is_sent_is_no_fault(caplog, error, is_logged):
+    """An exception that a task of the server leaves is logged by asyncio, with its traceback."""
+
+    async def send():
+        raise error(None, None)
+
+    async def leave():
+        task = asyncio.ensure_future(send())
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        del task
+        gc.collect()
+
+    with caplog.at_level("ERROR", "asyncio"):
+        asyncio.run(leave())
+    assert bool(caplog.records) == is_logged
