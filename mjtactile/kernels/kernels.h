@@ -396,5 +396,12 @@ int64_t qs_approximate_sensitivities(const double *numbers /* 20 */, const doubl
                     const double *pool /* pooled or NULL */, const double *steps /* changes */, const double *x /* 3, columns, rows */,
                     const double *force /* columns, rows */, double *by_z /* changes, columns, rows */,
                     double *by_force /* changes, columns, rows */);
+/* Compute the `obstacles` (as above) of `count` parametric shapes `theta` of one `model`: smooth, ball,
+   cylinder, disc, block. `guess`: position, height, half-extents of the frame, 1 for an ellipse, and
+   rounding (sensing/contact_shape/primitives.py). Faces have `heights` at the nodes `x`, `y`. */
+int64_t shape_obstacles(int64_t model, int64_t count, int64_t parameters, const double *theta /* count, parameters */,
+                        const double *guess /* 7 */, int64_t columns, int64_t rows, const double *x /* columns */,
+                        const double *y /* rows */, double *obstacles /* count, 20 */,
+                        double *heights /* count, columns, rows or NULL */);
 
 #endif

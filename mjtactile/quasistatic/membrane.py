@@ -250,7 +250,8 @@ class QuasistaticMembrane:
 
     def resume(
         self,
-        obstacles: Sequence[Obstacle],
+        rows: Array,
+        pool: Array | None,
         state: MembraneSolution,
         tolerance: float = TOLERANCE,
         max_steps: int = _MAX_STEPS,
@@ -260,7 +261,8 @@ class QuasistaticMembrane:
         """Find the equilibrium on other obstacles. Arguments are not checked.
 
         Args:
-            obstacles: The obstacles.
+            rows: Rows (k, NUMBERS) of the obstacles (`quasistatic.obstacles`).
+            pool: Their data; None: they have none.
             state: Converged initial state.
             tolerance: Tolerance of the displacements, m.
             max_steps: Maximum number of steps.
@@ -271,7 +273,6 @@ class QuasistaticMembrane:
         Returns:
             The state. An invalid solution has a status and raises no error.
         """
-        rows, pool = obstacle_rows.rows_and_pool(obstacles, self.grid)
         found, trend = np.empty(FOUND), np.zeros((4, *self.grid))
         x, force = state.x.copy(), state.force.copy()
         friction = FRICTIONLESS if shear is None else (1.0, *shear)

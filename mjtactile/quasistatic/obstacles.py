@@ -23,6 +23,7 @@ from mjtactile.core.types import Array
 NUMBERS = 20
 """Entries of an obstacle: kind, sizes (3), R_SO (9), p_SO (3), pool start and count, width,
 reach."""
+POOL_START, POOL_COUNT = 16, 17
 
 # Name: the kernel's code, and the meaning of `sizes`.
 KINDS: dict[str, tuple[int, tuple[str, ...]]] = {
@@ -169,6 +170,20 @@ def unchecked_obstacle(
     return made
 
 
+def unchecked_obstacles(rows: Array, pool: Array | None) -> tuple[Obstacle, ...]:
+    """Create the obstacles of `rows` (k, NUMBERS) without checks; their data are in `pool`."""
+    found = []
+    for row in rows:
+        start, count = row[POOL_START : POOL_COUNT + 1].astype(int)
+        own = _NO_POOL.ravel() if pool is None else pool[start : start + count]
+        parameters = row.copy()
+        parameters[POOL_START] = 0.0
+        made = object.__new__(Obstacle)
+        vars(made).update(kind=_BY_CODE[row[0]], parameters=parameters, pool=own, corners=None)
+        found.append(made)
+    return tuple(found)
+
+
 def as_list(obstacles: Obstacle | Iterable[Obstacle], field: str) -> list[Obstacle]:
     """Return a list of one or several obstacles. Raises InputError that names `field`."""
     if isinstance(obstacles, Obstacle):
@@ -197,7 +212,7 @@ def rows_and_pool(bodies: Sequence[Obstacle], grid: tuple[int, int]) -> tuple[Ar
     sizes = [body.pool.size for body in bodies]
     if not any(sizes):
         return rows, None
-    rows[:, 16] = np.cumsum([0, *sizes[:-1]])
+    rows[:, POOL_START] = np.cumsum([0, *sizes[:-1]])
     return rows, np.concatenate([body.pool for body in bodies])
 
 
@@ -265,6 +280,7 @@ def _hull(vertices: Array) -> Array:
 
 
 _IDENTITY = np.eye(3).ravel()
+_BY_CODE = {float(code): kind for kind, (code, _) in KINDS.items()}
 _NO_POOL = np.zeros((0, 4))
 
 

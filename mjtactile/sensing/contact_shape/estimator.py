@@ -135,7 +135,7 @@ class ContactShapeEstimator:
 
     def _raised_by_shear(self, data: Data, shear: Array, proposal: Proposal) -> Array:
         """Return the rise of the markers (N,), m, by the shear on a ball at the contact."""
-        ball = FAMILIES["ball"].build(proposal.theta("ball"), self.reference)
+        ball = FAMILIES["ball"].rows(proposal.theta("ball")[None], self.reference)
         without = self.forward.solve(ball)
         sheared = None if without is None else self.forward.solve(ball, without, shear)
         if without is None or sheared is None:

@@ -111,7 +111,7 @@ class Problem:
     def solve(self, theta: Array, start: MembraneSolution | None) -> MembraneSolution | None:
         """Solve the membrane on the shape with parameters `theta`, starting from `start` (None:
         from rest); None: the solver did not converge."""
-        return self.forward.solve(self.family.build(theta, self.hint), start, self.data.shear)
+        return self.forward.solve(self.family.rows(theta[None], self.hint), start, self.data.shear)
 
     def clip(self, theta: Array) -> Array:
         """Return the parameters within their bounds."""

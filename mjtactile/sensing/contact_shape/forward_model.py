@@ -5,7 +5,6 @@ It uses the quasi-static membrane (docs/theory/quasistatic_membrane.md, Eq. X1-X
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -13,9 +12,8 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import MembraneSolution, Obstacle, QuasistaticMembrane
+from mjtactile.quasistatic import MembraneSolution, QuasistaticMembrane
 from mjtactile.quasistatic.interpolation import interpolation_matrix
-from mjtactile.quasistatic.obstacles import NUMBERS, rows_and_pool
 from mjtactile.quasistatic.sensitivities import approximate_sensitivities, sensitivities_of
 from mjtactile.quasistatic.solution import AREA, PRESSURE, STATUS
 from mjtactile.sensing.force.rest_equilibrium import InverseRest
@@ -26,6 +24,8 @@ _MORE = 0.02  # relative step of the pressure for its derivative
 SUMS = np.array([*range(6), PRESSURE, AREA])
 """Membrane sums used in the fit: wrench (N, N m), pressure (Pa), area (m^2)."""
 SUM_AREA = 7
+ShapeRows = tuple[Array, Array | None]
+"""Obstacles (m, k, NUMBERS) of m shapes, and their pool (`ShapeModel.rows`)."""
 
 
 class ForwardModel:
@@ -85,40 +85,33 @@ class ForwardModel:
         return x[:, -1].reshape(len(x), -1) @ self._by_node
 
     def answers(
-        self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
+        self, state: MembraneSolution, bodies: ShapeRows, steps: Array
     ) -> tuple[Array, Array]:
         """Approximate the derivatives of marker heights (n, N), m, and normal force (n,), N, by the
         parameters (`approximate_sensitivities`). The state is on the first of `bodies`. Each other
         one is one of `steps` (n,) further."""
-        by_z, by_force = approximate_sensitivities(self.membrane, state, *self._rows(bodies), steps)
+        by_z, by_force = approximate_sensitivities(self.membrane, state, *bodies, steps)
         return self.heights(by_z[:, None]), by_force.sum(axis=(1, 2))
 
     def derivatives(
-        self, state: MembraneSolution, bodies: Sequence[Sequence[Obstacle]], steps: Array
+        self, state: MembraneSolution, bodies: ShapeRows, steps: Array
     ) -> tuple[Array, Array]:
         """Compute the exact derivatives of marker heights (n, N), m, and of the sums (n, 8) (SUMS),
         by the parameters. See `answers`."""
-        by = sensitivities_of(self.membrane, state, *self._rows(bodies), steps)
+        by = sensitivities_of(self.membrane, state, *bodies, steps)
         sums = np.column_stack([by.wrench, by.gauge_pressure, by.area])
         return self.heights(by.displacements), sums
 
-    def _rows(self, bodies: Sequence[Sequence[Obstacle]]) -> tuple[Array, Array | None]:
-        """Return the obstacle rows (m, k, NUMBERS) and their pool."""
-        rows, pool = rows_and_pool([body for one in bodies for body in one], self.membrane.grid)
-        return rows.reshape(len(bodies), -1, NUMBERS), pool
-
     def solve(
-        self,
-        obstacles: Sequence[Obstacle],
-        start: MembraneSolution | None = None,
-        shear: Array | None = None,
+        self, bodies: ShapeRows, start: MembraneSolution | None = None, shear: Array | None = None
     ) -> MembraneSolution | None:
-        """Solve the membrane on obstacles that load it with the in-plane force `shear` (2,), N
+        """Solve the membrane on `bodies` (1, k, NUMBERS) that load it with the in-plane force `shear` (2,), N
         (None: without friction), starting from `start` (None: from rest). None: the solver did not
         converge, for which far starts get fewer steps."""
         membrane = self.membrane
+        rows, pool = bodies
         if start is None:
-            found = membrane.resume(obstacles, membrane.rest, again=True, shear=shear)
+            found = membrane.resume(rows[0], pool, membrane.rest, again=True, shear=shear)
         else:
-            found = membrane.resume(obstacles, start, _TOLERANCE, _STEPS, shear=shear)
+            found = membrane.resume(rows[0], pool, start, _TOLERANCE, _STEPS, shear=shear)
         return found if found.found[STATUS] == 0 else None

@@ -9,9 +9,8 @@ import numpy as np
 
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import Obstacle
 from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Problem
-from mjtactile.sensing.contact_shape.forward_model import SUMS
+from mjtactile.sensing.contact_shape.forward_model import SUMS, ShapeRows
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel
 
 _WORN = 8.0  # parameter change, in derivative steps, after which the Jacobian is recomputed
@@ -68,10 +67,10 @@ def approximate_jacobian(problem: Problem, at: FitState) -> Jacobian:
     return Jacobian(heights.T * family.sd, sums, at.theta, False)
 
 
-def _changed_shapes(problem: Problem, theta: Array, steps: Array) -> list[tuple[Obstacle, ...]]:
+def _changed_shapes(problem: Problem, theta: Array, steps: Array) -> ShapeRows:
     """Build the shape with parameters `theta` (k,), and one shape per parameter changed by `steps`
     (k,)."""
-    return problem.family.build_each(np.vstack([theta, theta + np.diag(steps)]), problem.hint)
+    return problem.family.rows(np.vstack([theta, theta + np.diag(steps)]), problem.hint)
 
 
 def exact_jacobian(problem: Problem, at: FitState) -> Jacobian:
@@ -95,8 +94,9 @@ def _by_differences(problem: Problem, at: FitState, steps: Array) -> Jacobian:
     (k,)."""
     heights = np.zeros((len(at.heights), len(steps)))
     sums = np.zeros((len(SUMS), len(steps)))
-    for k, shape in enumerate(_changed_shapes(problem, at.theta, steps)[1:]):
-        changed = problem.forward.solve(shape, at.state, problem.data.shear)
+    shapes, pool = _changed_shapes(problem, at.theta, steps)
+    for k in range(len(steps)):
+        changed = problem.forward.solve((shapes[k + 1 : k + 2], pool), at.state, problem.data.shear)
         if changed is None:
             continue
         over = problem.family.sd[k] / steps[k]

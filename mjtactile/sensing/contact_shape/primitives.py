@@ -9,20 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from mjtactile.core.sensor_parts import Frame
 from mjtactile.core.types import Array
-from mjtactile.quasistatic import Obstacle
-from mjtactile.quasistatic.obstacles import unchecked_obstacle
+from mjtactile.kernels import kernel
+from mjtactile.quasistatic.obstacles import NUMBERS
 
 EDGE = 1.5e-3  # distance from the frame where long shapes are cut off, m
 ROUNDING = 0.5  # rounding of the rims, in node spacings of the membrane
-_FLAT = 0.2  # curvature that is flat at the size of a sensor, 1/m
-_RIM_SLOPE = 2.0  # slope of the flank beyond a rim
+_MODELS = ("smooth", "ball", "cylinder", "disc", "block")  # order of the kernel
+_FACES = ("disc", "block")
 _RIM = 360  # number of points on an outline
-_RIM_OUT = 1.4  # outward offset of the rounded rim from the nominal rim, in rounding radii
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +48,13 @@ class InitialGuess:
     force: float
     parts: tuple[InitialGuess, ...] = ()
     round: bool = False
+
+    @cached_property
+    def _kernel_arguments(self) -> tuple[Any, ...]:
+        """Arguments of the kernel that do not depend on the parameters."""
+        place = [*self.position, self.height, *self.frame, self.round, self.rounding]
+        x, y = self.nodes[0][:, 0].copy(), self.nodes[1][0].copy()
+        return np.array(place), len(x), len(y), x, y
 
 
 def feasible_half_extents(frame: Frame, edge: float) -> Array:
@@ -89,23 +97,25 @@ def principal(theta: Array) -> tuple[float, float, float]:
     return mean + half, mean - half, direction % math.pi
 
 
-def _raised_position(theta: Array, hint: InitialGuess, up: float) -> tuple[float, float, float]:
-    """Return the position `up` m above that of the first three parameters."""
-    x, y, z = place_of(theta, hint).tolist()
-    return x, y, z + up
+def obstacle_rows(name: str, thetas: Array, hint: InitialGuess) -> tuple[Array, Array | None]:
+    """Build the obstacles of the shape model `name` with parameters `thetas` (m, k).
 
+    A smooth shape is an ellipsoid with the given lowest point and curvatures. It is exact for a
+    ball, a lying cylinder and a plane. A cylinder ends at the frame. The rims of a disc and a block
+    are rounded.
 
-def smooth(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    """Create an ellipsoid with this lowest point and curvatures. It is exact for a ball, a lying
-    cylinder and a plane."""
-    maximum, minimum, direction = principal(theta)
-    tall = 1 / max(maximum, _FLAT)
-    sizes = (math.sqrt(tall / max(minimum, _FLAT)), math.sqrt(tall / max(maximum, _FLAT)), tall)
-    return (
-        unchecked_obstacle(
-            "ellipsoid", sizes, _raised_position(theta, hint, tall), about(2, direction)
-        ),
+    Returns:
+        The rows (m, NUMBERS) of `quasistatic.obstacles`, and the heights at the nodes (n,), m, of
+        a disc or a block, else None.
+    """
+    place, columns, lines, x, y = hint._kernel_arguments
+    count, parameters = thetas.shape
+    rows = np.empty((count, NUMBERS))
+    heights = np.empty(count * columns * lines) if name in _FACES else None
+    kernel("shape_obstacles")(
+        _MODELS.index(name), count, parameters, thetas, place, columns, lines, x, y, rows, heights
     )
+    return rows, heights
 
 
 def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
@@ -120,33 +130,6 @@ def smooth_starts(hint: InitialGuess) -> tuple[Array, ...]:
     )
 
 
-def ball(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    radius = 1 / max(float(theta[3]), _FLAT)
-    return (unchecked_obstacle("sphere", (radius,), _raised_position(theta, hint, radius)),)
-
-
-def cylinder(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    """Create a lying cylinder that ends at the frame."""
-    radius = 1 / max(theta[3], _FLAT)
-    R = about(2, theta[4]) @ about(1, theta[5])
-    position = place_of(theta, hint)
-    to_edges = _directions_in_ellipse if hint.round else _distance_to_edge
-    back, forth = to_edges(hint.frame, position, R[:, 0])
-    center = position + R[:, 0] * (forth - back) / 2 + R[:, 2] * radius
-    turned = np.column_stack([R[:, 1], R[:, 2], R[:, 0]])
-    return (unchecked_obstacle("cylinder", (radius, (back + forth) / 2), center.tolist(), turned),)
-
-
-def _soft(distance: Array, rounding: float) -> Array:
-    """Return the rise of a rim's flank over its face, m: zero far inside, steep outside, rounded
-    between. The membrane solution on a sharp rim changes in steps with the node positions. With a
-    rounding of half a spacing it does not, and the fit converges from any start."""
-    rise = np.sqrt(distance * distance + rounding**2)
-    rise += distance
-    rise *= _RIM_SLOPE / 2
-    return rise
-
-
 def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
     """Return the node positions relative to the shape's center (nx, ny), m, and the heights there.
     The heights are those of the tilted face."""
@@ -154,51 +137,6 @@ def offset_from_center(theta: Array, hint: InitialGuess) -> tuple[Array, Array, 
     x = hint.nodes[0] - position[0]
     y = hint.nodes[1] - position[1]
     return x, y, position[2] + theta[3] * y - theta[4] * x
-
-
-def _node_offsets(thetas: Array, hint: InitialGuess) -> tuple[Array, Array, Array]:
-    """Return node offsets for shapes `thetas` (m, k), as `offset_from_center`. They are x (m, nx,
-    1), y (m, 1, ny), heights (m, nx, ny)."""
-    position = 1e-3 * thetas[:, :3, None, None]
-    x = (hint.nodes[0][:, :1] - hint.position[0]) - position[:, 0]
-    y = (hint.nodes[1][:1] - hint.position[1]) - position[:, 1]
-    tilt_x, tilt_y = thetas[:, 3, None, None], thetas[:, 4, None, None]
-    return x, y, (hint.height + position[:, 2] + tilt_x * y) - tilt_y * x
-
-
-def _faces(heights: Array) -> list[tuple[Obstacle, ...]]:
-    return [
-        (unchecked_obstacle("heights", (), (0.0, 0.0, 0.0), heights=height),) for height in heights
-    ]
-
-
-def discs(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
-    """Build the discs with parameters `thetas` (m, 6)."""
-    x, y, heights = _node_offsets(thetas, hint)
-    distance = np.sqrt(x**2 + y**2)
-    distance -= 1e-3 * thetas[:, 5, None, None] + _RIM_OUT * hint.rounding
-    heights += _soft(distance, hint.rounding)
-    return _faces(heights)
-
-
-def disc(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    return discs(theta[None], hint)[0]
-
-
-def blocks(thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
-    """Build the blocks with parameters `thetas` (m, 8)."""
-    x, y, heights = _node_offsets(thetas, hint)
-    c = np.cos(thetas[:, 5])[:, None, None]
-    s = np.sin(thetas[:, 5])[:, None, None]
-    for along, half in ((c * x + s * y, 6), (c * y - s * x, 7)):
-        distance = np.abs(along)
-        distance -= 1e-3 * thetas[:, half, None, None] + _RIM_OUT * hint.rounding
-        heights += _soft(distance, hint.rounding)
-    return _faces(heights)
-
-
-def block(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-    return blocks(theta[None], hint)[0]
 
 
 def disc_starts(hint: InitialGuess) -> tuple[Array, ...]:
@@ -211,31 +149,6 @@ def block_starts(hint: InitialGuess) -> tuple[Array, ...]:
         for half in (4.0,)
         for angle in (0.0, math.pi / 4)
     )
-
-
-def _distance_to_edge(frame: Array, position: Array, along: Array) -> tuple[float, float]:
-    """Return the backward and forward distances, m, along a line through `position` to a rectangle
-    with half-extents `frame` (2,)."""
-    back = forth = math.inf
-    for axis, side in enumerate(frame.tolist()):  # floats: arrays of two take ten times as long
-        step = float(along[axis])
-        if abs(step) < 1e-9:
-            continue
-        ahead = math.copysign(float(position[axis]), position[axis] * step)
-        back = min(back, (side + ahead) / abs(step))
-        forth = min(forth, (side - ahead) / abs(step))
-    return max(back, 1e-3), max(forth, 1e-3)
-
-
-def _directions_in_ellipse(half: Array, position: Array, along: Array) -> tuple[float, float]:
-    """Return the backward and forward distances, m, along a line through `position` to an ellipse
-    with half-axes `half` (2,)."""
-    at = position[:2] / half
-    step = along[:2] / half
-    a = float(step @ step)
-    b = float(at @ step)
-    root = math.sqrt(max(b**2 + a * (1 - float(at @ at)), 0.0))
-    return max((root + b) / a, 1e-3), max((root - b) / a, 1e-3)
 
 
 def lying_starts(curvatures: tuple[float, ...]) -> Callable[[InitialGuess], tuple[Array, ...]]:

@@ -15,20 +15,15 @@ import numpy as np
 
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
+from mjtactile.quasistatic.obstacles import NUMBERS, POOL_START, unchecked_obstacles
 from mjtactile.sensing.contact_shape.primitives import (
     InitialGuess,
-    ball,
-    block,
     block_starts,
-    blocks,
-    cylinder,
-    disc,
     disc_starts,
-    discs,
     lying_starts,
+    obstacle_rows,
     offset_from_center,
     principal,
-    smooth,
     smooth_starts,
 )
 
@@ -55,7 +50,6 @@ class ShapeModel:
             parameters that stay constant; zero for all others.
         low: Lower bounds.
         high: Upper bounds.
-        build: Function from parameters and initial guess to obstacles.
         starts: Function from the initial guess to start parameters.
         parts: Model of each part of a shape with several contacts; else empty.
     """
@@ -69,7 +63,6 @@ class ShapeModel:
     share: Array
     low: Array
     high: Array
-    build: Callable[[Array, InitialGuess], tuple[Obstacle, ...]]
     starts: Callable[[InitialGuess], tuple[Array, ...]]
     parts: tuple[ShapeModel, ...] = ()
 
@@ -78,13 +71,30 @@ class ShapeModel:
             return several, (tuple(part.name for part in self.parts),)
         return _named, (self.name,)
 
-    def build_each(self, thetas: Array, hint: InitialGuess) -> list[tuple[Obstacle, ...]]:
-        """Build the obstacles for each of `thetas` (m, k), at once if that is faster. See
-        `build`."""
-        at_once = {"disc": discs, "block": blocks}.get(self.name)
-        if at_once is not None:
-            return at_once(thetas, hint)
-        return [self.build(theta, hint) for theta in thetas]
+    def rows(self, thetas: Array, hint: InitialGuess) -> tuple[Array, Array | None]:
+        """Build the obstacles of `thetas` (m, k): rows (m, parts, NUMBERS) and their pool. See
+        `obstacle_rows`."""
+        if not self.parts:
+            rows, heights = obstacle_rows(self.name, thetas, hint)
+            return rows[:, None], heights
+        each = np.split(thetas, self._part_ends, axis=1)
+        made = np.empty((len(thetas), len(self.parts), NUMBERS))
+        pools: list[Array] = []
+        used = 0
+        for index, (part, parameters, own) in enumerate(
+            zip(self.parts, each, hint.parts, strict=True)
+        ):
+            made[:, index], heights = obstacle_rows(part.name, parameters, own)
+            if heights is not None:
+                made[:, index, POOL_START] += used
+                used += heights.size
+                pools.append(heights)
+        return made, np.concatenate(pools) if pools else None
+
+    def build(self, theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
+        """Build the obstacles of one shape."""
+        rows, pool = self.rows(theta[None], hint)
+        return unchecked_obstacles(rows[0], pool)
 
     @property
     def heights(self) -> list[int]:
@@ -102,7 +112,11 @@ class ShapeModel:
 
     def split(self, parameters: Array) -> list[Array]:
         """Split `parameters` (k, ...) into those of each part."""
-        return np.split(parameters, np.cumsum([len(part.names) for part in self.parts])[:-1])
+        return np.split(parameters, self._part_ends)
+
+    @property
+    def _part_ends(self) -> Array:
+        return np.cumsum([len(part.names) for part in self.parts])[:-1]
 
     def rebased(self, theta: Array, old: InitialGuess, new: InitialGuess) -> Array:
         """Return parameters relative to the guess `new` instead of the guess `old`."""
@@ -186,12 +200,6 @@ def several(names: Sequence[str]) -> ShapeModel:
     """Return a shape model of several simultaneous contacts, one named model for each."""
     parts = tuple(FAMILIES[name] for name in names)
 
-    def build(theta: Array, hint: InitialGuess) -> tuple[Obstacle, ...]:
-        given = zip(parts, family.split(theta), hint.parts, strict=True)
-        return tuple(
-            body for part, parameters, own in given for body in part.build(parameters, own)
-        )
-
     def starts(hint: InitialGuess) -> tuple[Array, ...]:
         own = [part.starts(of) for part, of in zip(parts, hint.parts, strict=True)]
         many = max(len(part_names) for part_names in own)
@@ -205,18 +213,7 @@ def several(names: Sequence[str]) -> ShapeModel:
         np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS
     )
     family = ShapeModel(
-        "+".join(names),
-        parameters,
-        mean,
-        sd,
-        steps,
-        loose,
-        fraction,
-        low,
-        high,
-        build,
-        starts,
-        parts,
+        "+".join(names), parameters, mean, sd, steps, loose, fraction, low, high, starts, parts
     )
     return family
 
@@ -231,7 +228,6 @@ def _named(name: str) -> ShapeModel:
 def _family(
     name: str,
     parameters: tuple[tuple[str, float, float, float, float], ...],
-    build: Callable[[Array, InitialGuess], tuple[Obstacle, ...]],
     starts: Callable[[InitialGuess], tuple[Array, ...]],
 ) -> ShapeModel:
     columns = list(zip(*parameters, strict=True))
@@ -245,7 +241,7 @@ def _family(
         ]
     )
     fraction = np.array([_SHARE.get(parameter.split("_")[0], 0.0) for parameter in names])
-    return ShapeModel(name, names, mean, sd, steps, loose, fraction, low, high, build, starts)
+    return ShapeModel(name, names, mean, sd, steps, loose, fraction, low, high, starts)
 
 
 _AT = (("x", 0, 3, -8, 8), ("y", 0, 3, -8, 8), ("z", 0, 1, -4, 3))  # mm
@@ -260,13 +256,11 @@ FAMILIES: dict[str, ShapeModel] = {
                 ("k_xy", 0, 100, -400, 400),
                 ("k_yy", 100, 150, -1, 800),
             ),
-            smooth,
             smooth_starts,
         ),
         _family(
             "ball",
             (*_AT, ("k", 100, 150, 0.2, 800)),
-            ball,
             lambda hint: tuple(np.array([0, 0, 0, k]) for k in (200.0, 80.0, 25.0)),
         ),
         _family(
@@ -277,7 +271,6 @@ FAMILIES: dict[str, ShapeModel] = {
                 ("direction", 0, 1.0, -9, 9),
                 ("lean", 0, 0.1, -0.3, 0.3),
             ),
-            cylinder,
             lying_starts((120.0,)),
         ),
         _family(
@@ -288,7 +281,6 @@ FAMILIES: dict[str, ShapeModel] = {
                 ("tilt_y", 0, 0.07, -0.5, 0.5),
                 ("radius", 5, 2, 1.5, 14),
             ),
-            disc,
             disc_starts,
         ),
         _family(
@@ -301,7 +293,6 @@ FAMILIES: dict[str, ShapeModel] = {
                 ("half_x", 4.5, 2, 1.5, 14),
                 ("half_y", 4.5, 2, 1.5, 14),
             ),
-            block,
             block_starts,
         ),
     )

@@ -276,7 +276,7 @@ def test_shear_moves_a_contact_as_far_as_an_independent_membrane(fine):
     mean moves 8 % farther."""
     obstacles = [ball(fine, 8, (0, 0), 8.8699)]
     start = fine.solve(obstacles)
-    sheared = fine.resume(obstacles, start, shear=np.array([0.1429, 0.0]))
+    sheared = fine.resume(obstacles[0].parameters[None], None, start, shear=np.array([0.1429, 0.0]))
     assert sheared.converged
     moved = (sheared.displacements - start.displacements)[:, sheared.contact_forces > 0]
     assert moved[0].mean() == pytest.approx(1.08 * 0.3e-3, rel=0.03)

@@ -93,7 +93,7 @@ def test_a_resumed_solution_is_the_solution():
     membrane = QuasistaticMembrane(load_sensor("dense"), (21, 16))
     balls = [membrane.obstacle("sphere", (8e-3,), (0, 0, z + 8e-3)) for z in (2e-3, 1.5e-3)]
     first = membrane.solve(balls[0])
-    resumed = membrane.resume([balls[1]], first)
+    resumed = membrane.resume(balls[1].parameters[None], None, first)
     whole = membrane.solve(balls[1])
     assert resumed.converged and first.converged
     np.testing.assert_allclose(resumed.x, whole.x, atol=2e-6)
