@@ -105,7 +105,7 @@ class ForwardModel:
     def solve(
         self, bodies: ShapeRows, start: MembraneSolution | None = None, shear: Array | None = None
     ) -> MembraneSolution | None:
-        """Solve the membrane on `bodies` (1, k, NUMBERS) that load it with the in-plane force `shear` (2,), N
+        """Solve the membrane on one shape that loads it with the in-plane force `shear` (2,), N
         (None: without friction), starting from `start` (None: from rest). None: the solver did not
         converge, for which far starts get fewer steps."""
         membrane = self.membrane
