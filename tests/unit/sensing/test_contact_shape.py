@@ -16,6 +16,7 @@ from mjtactile import QuasistaticMembrane, SensingPipeline, load_sensor
 from mjtactile.core.types import ContactShape, Markers, RelativeMotion, Slip, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.quasistatic import obstacle
+from mjtactile.quasistatic.obstacles import rows_and_pool
 from mjtactile.sensing.apply_contact_shape import attach_shape
 from mjtactile.sensing.contact_shape import press_tracker as following
 from mjtactile.sensing.contact_shape.estimator import Found
@@ -330,7 +331,8 @@ def test_what_presses_the_membrane_below_its_frame_beside_it_is_uncertain(sensor
     across = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # along x, not z
 
     def below(*body):
-        state = membranes.solve((obstacle(*body),))
+        rows, pool = rows_and_pool([obstacle(*body)], membranes.membrane.grid)
+        state = membranes.solve((rows[None], pool))
         return below_frame(membranes, state), state.force_normal
 
     ball, _ = below("sphere", (radius,), (0, 0, radius - 3e-4))
