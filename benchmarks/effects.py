@@ -22,6 +22,7 @@ from benchmarks.accuracy.run import stamp
 from benchmarks.scenes import rigid_pads
 from benchmarks.simulation_cases import HOLD_FORCE, SENSOR, attempt, core_ms, hold, in_turns
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
@@ -30,13 +31,7 @@ from mjtactile.sim.effects.catalog import EFFECTS
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.effect_switches import (
-    CAMERA,
-    PHYSICS,
-    Effect,
-    set_camera_effects,
-    set_design,
-)
+from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, set_camera_effects, set_design
 
 _STEP = 1 / 240
 _BLOCK = 4  # steps per call, as between two images

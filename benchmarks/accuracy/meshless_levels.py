@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.accuracy.run import _QUICK_REFERENCE, _REFERENCE, stamp
 from benchmarks.simulation_cases import CASES, SENSOR, Case, Pressed, Setting, core_ms, hold, press
 from mjtactile.core.design import load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.scenario import Scenario
 from mjtactile.evaluate.episodes import Episode, run_episode
 from mjtactile.recording.files import write_json
@@ -28,7 +29,7 @@ from mjtactile.sim.effects.fidelity import levels_path
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 from mjtactile.sim.sensing_error_model import load_errors
-from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
+from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID
 from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 

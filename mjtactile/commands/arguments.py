@@ -34,6 +34,12 @@ class Argument:
         settings = self.settings
         if settings.get("type") is Path:
             settings = settings | {"type": path}
+        elif (
+            settings.get("type", str) is str
+            and settings.get("action", "append") == "append"
+            and "choices" not in settings
+        ):
+            settings = settings | {"type": text}
         parser.add_argument(*self.names, **settings)
 
 
@@ -167,6 +173,13 @@ def path(text: str) -> Path:
     if not text:
         raise argparse.ArgumentTypeError("is empty, not a path")
     return Path(text)
+
+
+def text(written: str) -> str:
+    """Read a text; an empty one, such as that of an unset shell variable, is no value."""
+    if not written:
+        raise argparse.ArgumentTypeError("is empty; leave the option out for its default")
+    return written
 
 
 def pair(text: str) -> tuple[float, float]:

@@ -34,7 +34,7 @@ exit codes: 0 agrees with the simulator, 1 differs, 2 bad input, 3 the simulatio
 ARGUMENTS = (
     arg.positional("recording", "RECORDING", "a recording, or a run's folder", type=Path),
     arg.option("--rig NAME|FILE.toml", "simulated rig that represents the recorded rig", "sim"),
-    arg.option("--object NAME|FILE.xml", "grasped object (default: from the recording)", ""),
+    arg.option("--object NAME|FILE.xml", "grasped object (default: from the recording)"),
     arg.option(
         "--end-s S",
         "use only the first S seconds (default: all)",
@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
         shadow, episode = shadow_of(
             options.recording,
             rig=options.rig,
-            item=options.object,
+            item=options.object or "",
             until=options.until,
             causes=options.parameter,
             workers=options.workers,

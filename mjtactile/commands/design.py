@@ -121,7 +121,7 @@ ARGUMENTS = (
         0,
         type=arg.integer(0, 20),
     ),
-    arg.option("--seed N", "seed of the sampling", 0, type=int),
+    arg.option("--seed N", "seed of the sampling", 0, type=arg.integer(0)),
     arg.out(
         "folder for design.json, and face.png and design.html of a file, or front.png and "
         "best_1.toml, … of a search"

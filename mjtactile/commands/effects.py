@@ -32,7 +32,6 @@ SHARED = (
         "--accuracy 0.02N|realtime",
         "coarsest simulation with this force error or real-time factor (default: the command's "
         "own mesh)",
-        "",
     ),
     arg.option(
         "--effects auto|+NAME,-NAME",
@@ -71,7 +70,8 @@ def run(options: argparse.Namespace) -> int:
     from mjtactile.experiments.fidelity_options import effects_of
 
     design = load_sensor(options.sensor)
-    grasped, requested, rows = effects_of(design, options.object, options.accuracy, options.effects)
+    accuracy = options.accuracy or ""
+    grasped, requested, rows = effects_of(design, options.object, accuracy, options.effects)
     if options.json:
         print_json(
             {"sensor": design.name, "object": grasped, "force_error_N": requested, "effects": rows}

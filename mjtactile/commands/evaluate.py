@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 from mjtactile import InputError, Scenario
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import scenario
-from mjtactile.commands.output import insert_table, new_run_folder, print_result, stdout_to_stderr
+from mjtactile.commands.output import (
+    insert_table,
+    new_run_folder,
+    print_result,
+    require_markers,
+    stdout_to_stderr,
+)
 from mjtactile.core import resources
 from mjtactile.recording.files import write_json
 
@@ -81,7 +87,7 @@ ARGUMENTS = (
         "executor of the episodes: processes (local; the default) or dask (a cluster)",
         "processes",
     ),
-    arg.option("--scheduler ADDRESS", "address of the dask scheduler, such as tcp://host:8786", ""),
+    arg.option("--scheduler ADDRESS", "address of the dask scheduler, such as tcp://host:8786"),
     arg.option("--shard K/N", "run only part K of N", "1/1", type=_shard),
     arg.flag("--resume", "continue the evaluation in the folder"),
     arg.option("--merge DIR", "merge parts of one evaluation instead", nargs="+", type=Path),
@@ -149,6 +155,8 @@ def run(options: argparse.Namespace) -> int:
         return _against(options)
     if options.screening_sample is not None:
         return _screen(options)
+    if options.readme is not None:
+        require_markers(options.readme, "evaluate")
     with _folder(options) as out:
         summary = _evaluate(options, out)
     write_json(out / "summary.json", summary)
@@ -267,7 +275,7 @@ def _evaluate(options: argparse.Namespace, out: Path) -> dict[str, Any]:
             shard=options.shard,
             record=options.record,
             running=replace(
-                _running(options), backend=options.backend, scheduler=options.scheduler
+                _running(options), backend=options.backend, scheduler=options.scheduler or ""
             ),
         )
 

@@ -189,6 +189,17 @@ def _start_marker(name: str) -> str:
 def insert_table(path: Path, name: str, table: str) -> None:
     """Replace the text between the markers of `name` in a Markdown file. Raises InputError when
     they are missing."""
+    head, start_marker, end, tail = _around_table(path, name)
+    path.write_text(f"{head}{start_marker}\n{table.strip()}\n{end}{tail}", encoding="utf-8")
+
+
+def require_markers(path: Path, name: str) -> None:
+    """Raise InputError for a Markdown file into which `insert_table` cannot insert."""
+    _around_table(path, name)
+
+
+def _around_table(path: Path, name: str) -> tuple[str, str, str, str]:
+    """Return the text before the table of `name`, its two markers, and the text after it."""
     start_marker = _start_marker(name)
     end = "<!-- /bench -->"
     try:
@@ -200,4 +211,4 @@ def insert_table(path: Path, name: str, table: str) -> None:
     _, closed, tail = rest.partition(end)
     if not (found and closed):
         raise InputError(f"has no {start_marker} … {end}", source=path, field="--readme")
-    path.write_text(f"{head}{start_marker}\n{table.strip()}\n{end}{tail}", encoding="utf-8")
+    return head, start_marker, end, tail

@@ -99,7 +99,9 @@ def run(options: argparse.Namespace) -> int:
         sealed=options.valve == "closed",
     )
     notify = Progress(quiet=options.json).message
-    design, simulation = simulation_of(design, options.accuracy, options.effects, options.mesh)
+    design, simulation = simulation_of(
+        design, options.accuracy or "", options.effects, options.mesh
+    )
     simulation = with_shape_mesh(design, simulation, notify)
     with optional_folder(options.out, "press.json", "press.png") as out:
         with stdout_to_stderr():

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from mjtactile import InputError, Scenario, load_scenario, resolve_scenario, rig_names
 from mjtactile.commands import arguments as arg
@@ -101,10 +102,20 @@ def scenario_of(options: argparse.Namespace, default: Scenario | None = None) ->
     if "sensor" in given:
         base = replace(base, sensors={})
         chosen.discard("sensors")
-    requested = resolve_scenario(replace(base, **given), tuple(chosen))
+    requested = resolve_scenario(_with_options(base, given), tuple(chosen))
     if hasattr(options, "controller") and "controller" not in given:
         _require_named(requested)
     return requested
+
+
+def _with_options(base: Scenario, given: dict[str, Any]) -> Scenario:
+    """Return `base` with the options. Raises InputError naming a wrong one."""
+    try:
+        return replace(base, **given)
+    except InputError as error:
+        if error.source is None and error.field in given:
+            raise error.at(f"--{error.field}") from None
+        raise
 
 
 def _require_named(requested: Scenario) -> None:

@@ -54,11 +54,17 @@ class InputError(MjtactileError):
     ):
         self.source = source
         self.field = field
+        self._stated = message, None if choices is None else tuple(map(str, choices))
         where = ": ".join(str(part) for part in (source, field) if part is not None)
         text = f"{where}: {message}" if where else message
-        if choices is not None:
-            text += f" (valid: {', '.join(str(choice) for choice in choices)})"
+        if self._stated[1] is not None:
+            text += f" (valid: {', '.join(self._stated[1])})"
         super().__init__(_shortened(text))
+
+    def at(self, field: str, source: object = None) -> InputError:
+        """Return the same error of the value at another place: a file's field, or an option."""
+        message, choices = self._stated
+        return InputError(message, source=source, field=field, choices=choices)
 
 
 def _shortened(text: str) -> str:

@@ -3,7 +3,14 @@ Levels are never mixed without a flag."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
+
+from mjtactile.core.errors import InputError
+
+ACCURACIES = ("0.02N (a force error)", "realtime")
+MIN_FORCE_ERROR = 1e-4
+"""Minimum force error that can be required, N. The solver's noise in a grasp is larger."""
 
 LEFT_OUT: Mapping[str, str] = {
     "mesh": "omitted: the quasi-static membrane replaced it (--effects -mesh)",
@@ -15,6 +22,21 @@ LEFT_OUT: Mapping[str, str] = {
 }
 """Consequence of omitting each effect, by name. A result without the effect has its name with
 false."""
+
+
+def read_accuracy(text: str, field: str) -> float | None:
+    """Read "0.02N" into a force error, N; None for "realtime". Raises InputError naming `field`."""
+    word = text.strip().lower()
+    if word in ("realtime", "real-time"):
+        return None
+    try:
+        value = float(word.removesuffix("n").strip())
+    except ValueError:
+        value = math.nan
+    if not word.endswith("n") or not MIN_FORCE_ERROR <= value < math.inf:
+        message = f"{text!r} is not an accuracy of at least {MIN_FORCE_ERROR:g} N"
+        raise InputError(message, field=field, choices=ACCURACIES)
+    return value
 
 
 def disabled_effects(effects: Collection[str]) -> tuple[str, ...]:

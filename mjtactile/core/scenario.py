@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from mjtactile.core import foreign_file, resources
-from mjtactile.core.config_fields import entry, flag, integer, text
+from mjtactile.core.config_fields import entry, flag, integer
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.effect_names import read_switches
 from mjtactile.core.errors import InputError
+from mjtactile.core.fidelity_levels import read_accuracy
 from mjtactile.core.field_types import Entry, Number
 from mjtactile.core.signature_checks import validated, within
 from mjtactile.core.toml import Section
@@ -87,11 +89,25 @@ class _Limit(Number):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _MaybeEmpty(Entry):
-    """Text that may be empty."""
+class _CheckedText(Entry):
+    """Text that `check` of text and field accepts; with `empty` it may be empty."""
+
+    check: Callable[[str, str], object]
+    empty: bool = False
 
     def read(self, section: Section, default: Any) -> Any:
-        return section.text(self.key, default=default, empty=True)
+        value = section.text(self.key, default=default, empty=self.empty)
+        try:
+            _check_if_given(self.check, value, self.key)
+        except InputError as error:
+            raise section.moved(self.key, error) from None
+        return value
+
+
+def _check_if_given(check: Callable[[str, str], object], value: str, field: str) -> None:
+    """Raise InputError for a text that is neither empty nor accepted."""
+    if value:
+        check(value, field)
 
 
 _SENSOR = FileName(key="sensor", folder="models/sensors", suffix=".toml")
@@ -123,7 +139,7 @@ class Scenario:
             Area and force are then those of the shape.
 
     Raises:
-        InputError: For a seed or time limit out of range.
+        InputError: For a seed or time limit out of range, or wrong effects or accuracy.
     """
 
     object: str = _file("object", "models/objects", ".xml", "random:N", default="egg")
@@ -134,8 +150,8 @@ class Scenario:
     sensors: Mapping[str, str | SensorDesign] = entry(
         _EachFinger(key="sensors", name=_SENSOR), default_factory=dict, hash=False
     )
-    effects: str = text("effects", default="auto")
-    accuracy: str = entry(_MaybeEmpty(key="accuracy"), "")
+    effects: str = entry(_CheckedText(key="effects", check=read_switches), "auto")
+    accuracy: str = entry(_CheckedText(key="accuracy", check=read_accuracy, empty=True), "")
     randomization: str = _file(
         "randomization", "models/randomization", ".toml", "none", default="none"
     )
@@ -146,6 +162,8 @@ class Scenario:
     def __post_init__(self) -> None:
         if not self.time_limit > 0:
             raise InputError(f"{self.time_limit:g} is not above 0", field="time_limit_s")
+        _check_if_given(read_switches, self.effects, "effects")
+        _check_if_given(read_accuracy, self.accuracy, "accuracy")
 
     def design(self) -> SensorDesign:
         """Read the sensor of the fingers that have none of their own.

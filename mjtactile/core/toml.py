@@ -133,6 +133,10 @@ class Section:
             message, source=self._source, field=self._field_path(key), choices=choices
         )
 
+    def moved(self, key: str, error: InputError) -> InputError:
+        """Return the error, at field `key`."""
+        return error.at(self._field_path(key), self._source)
+
     def number(
         self, key: str, low: float, high: float, scale: float = 1.0, default: Any = ...
     ) -> Any:

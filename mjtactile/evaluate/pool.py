@@ -33,19 +33,25 @@ class Pool:
     workers: int = 1
     scheduler: str = ""
 
+    def __post_init__(self) -> None:
+        if self.backend not in BACKENDS:
+            raise InputError(f"{self.backend!r} is unknown", field="--backend", choices=BACKENDS)
+        if self.backend == PROCESSES and self.scheduler:
+            choices = [f"--backend {DASK}"]
+            raise InputError("applies to a cluster only", field="--scheduler", choices=choices)
+        if self.backend == DASK and not self.scheduler:
+            choices = [f"--backend {DASK} --scheduler tcp://HOST:8786"]
+            message = "the address of the cluster is missing"
+            raise InputError(message, field="--backend", choices=choices)
+
     @contextlib.contextmanager
     def open(self, maximum: int) -> Iterator[dict[str, Any]]:
         """Yield joblib's arguments for at most `maximum` jobs. Raises InputError."""
         if self.backend == DASK:
             with _dask(self.scheduler) as jobs:
                 yield {"n_jobs": max(1, min(jobs, maximum)), "pre_dispatch": "2*n_jobs"}
-        elif self.backend == PROCESSES and not self.scheduler:
-            yield {"n_jobs": max(1, min(self.workers, maximum)), "pre_dispatch": "n_jobs"}
-        elif self.backend == PROCESSES:
-            choices = [f"--backend {DASK}"]
-            raise InputError("applies to a cluster only", field="--scheduler", choices=choices)
         else:
-            raise InputError(f"{self.backend!r} is unknown", field="--backend", choices=BACKENDS)
+            yield {"n_jobs": max(1, min(self.workers, maximum)), "pre_dispatch": "n_jobs"}
 
 
 @dataclass(frozen=True)
@@ -78,10 +84,6 @@ def _dask(scheduler: str) -> Iterator[int]:
     """Connect joblib to a scheduler, and yield the number of tasks that its workers run at once."""
     from joblib import parallel_config
 
-    if not scheduler:
-        choices = [f"--backend {DASK} --scheduler tcp://HOST:8786"]
-        message = "the address of the cluster is missing"
-        raise InputError(message, field="--backend", choices=choices)
     try:
         from distributed import Client
     except ImportError as error:

@@ -68,6 +68,10 @@ def evaluate(
     if only is not None:
         options["only"] = sorted(only)
     manifest = store.manifest(options, _files(scenario, controllers, objects))
+    workers = running.workers
+    if workers is None:  # an emulated world, which keeps time, has all processors
+        workers = 1 if emulated.check(scenario) else platform_support.processors()
+    pool = Pool(running.backend, workers, running.scheduler)
     kept = store.Store(folder, manifest, resume=running.resume)
     episodes = plan(scenario, count, controllers, objects, shard=shard)
     if only is not None:
@@ -79,10 +83,6 @@ def evaluate(
     if kept.lines:
         complete = len(episodes) - len(missing)
         running.notify(f"{complete} of {len(episodes)} episodes are already complete")
-    workers = running.workers
-    if workers is None:  # an emulated world, which keeps time, has all processors
-        workers = 1 if emulated.check(scenario) else platform_support.processors()
-    pool = Pool(running.backend, workers, running.scheduler)
     run_all(missing, kept, pool, running.notify, running.run_one)
     kept.finish()
     return summarise(kept.lines)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.flags import Reasons
 from mjtactile.core.ritz_bulge import GRAVITY, inflated_height
 from mjtactile.core.types import ContactShape, Touch
@@ -21,7 +22,6 @@ from mjtactile.runtime.discretization_error import press_errors
 from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.mesh import make_mesh
 
 _COARSEST = 1.7e-3  # vertex spacing, m; marker heights are then 25 um off, as from pixel noise

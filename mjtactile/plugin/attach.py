@@ -27,11 +27,12 @@ from typing import Any
 import mujoco
 
 from mjtactile.core.design import SensorDesign, load_sensor, require_valid
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.signature_checks import above, not_below, validated
 from mjtactile.plugin.sim_finger import OUTPUTS, SimFinger
 from mjtactile.sim.attach import Attachment, attach_membrane
-from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, Effect, effects_named
+from mjtactile.sim.sensor.effect_switches import CAMERA, PHYSICS, effects_named
 
 _MIN_MESH = 8  # vertices along a side: the shipped sensors' references are in balance from there
 

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags
 from mjtactile.core.not_copyable import NotCopyable
@@ -35,7 +36,6 @@ from mjtactile.sim.scenes.world import World
 from mjtactile.sim.sensor import carrier_geoms
 from mjtactile.sim.sensor.collision_rule import apply_collision_rule, contact_notes
 from mjtactile.sim.sensor.contact_loads import membrane_wrench
-from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.sensor_types import AnySensor
 

@@ -63,6 +63,21 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
         DeviceError: A device is missing.
     """
     requested = as_scenario(scenario, design, **fields)
+    kind, request = request_of(requested)
+    rig = load_backend(RIGS, kind)(request)
+    try:
+        _require_built(rig, requested)
+    except InputError:
+        rig.close()
+        raise
+    return replace(rig, goal=load_task(requested.task).goal.task_goal())
+
+
+def request_of(requested: Scenario) -> tuple[str, RigRequest]:
+    """Return the backend of a scenario's rig and the request to it; no device is opened.
+
+    Raises InputError for an unknown rig, sensor or task, and for settings that the rig ignores.
+    """
     name = requested.rig
     kind, _, argument = name.partition(":")
     file = None
@@ -84,14 +99,7 @@ def build_rig(scenario: Scenario | str, design: SensorDesign | None = None, **fi
     if task.waypoints and kind not in MOVES_SIDEWAYS:
         text = f"the rig {name!r} does not move sideways, and the task {task.name!r} has waypoints"
         raise InputError(text, field="--rig", choices=["sim", "sim_arm", "sim_three_finger"])
-    goal = task.goal.task_goal()
-    rig = load_backend(RIGS, kind)(RigRequest(requested, requested.design(), argument, file))
-    try:
-        _require_built(rig, requested)
-    except InputError:
-        rig.close()
-        raise
-    return replace(rig, goal=goal)
+    return kind, RigRequest(requested, requested.design(), argument, file)
 
 
 def _require_built(rig: Rig, requested: Scenario) -> None:

@@ -25,6 +25,8 @@ from mjtactile.runtime.retreat import Retreat
 BLIND_TIME_MAX = 0.5  # time without a known force before the retreat, s
 # as a fraction of the sealed pressure; objects only raise it, 3 K change it by 1 %
 _LEAK_FRACTION = 0.8
+# Pa, above the noise of pressure sensors: a chamber at or below the air's pressure has none to lose
+_LEAK_MIN = 30.0
 # consecutive cycles for a leak by shape; one is enough by pressure, since the valve driver repeats
 # surprising readings
 _SINK_CYCLES = 3
@@ -166,7 +168,7 @@ class Supervisor:
             if v.gauge_pressure is not None
             and not v.is_open
             and sealed is not None
-            and v.gauge_pressure < _LEAK_FRACTION * sealed
+            and v.gauge_pressure < min(_LEAK_FRACTION * sealed, sealed - _LEAK_MIN)
         ]
         sunk = [
             f"the membrane of chamber {i} has sunk to {1e9 * t.surface.volume:.0f} mm^3 from "

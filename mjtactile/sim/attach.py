@@ -31,17 +31,12 @@ import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign, load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.outline import Outline
 from mjtactile.core.signature_checks import validated, within
 from mjtactile.sim.sensor import feature_size, validity_checks
-from mjtactile.sim.sensor.effect_switches import (
-    PHYSICS,
-    Effect,
-    effects_named,
-    set_law,
-    set_physics,
-)
+from mjtactile.sim.sensor.effect_switches import PHYSICS, effects_named, set_law, set_physics
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.mesh_sensor import TactileSensor

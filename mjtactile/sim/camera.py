@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.rig.as_built_sensor import NOMINAL, AsBuiltSensor, camera_pose, marker_radii
 from mjtactile.sim.rendering.image_faults import FaultyImage
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.rendering.synthetic_ellipses import EllipseSampler
-from mjtactile.sim.sensor.effect_switches import CAMERA, Effect, set_camera_effects
+from mjtactile.sim.sensor.effect_switches import CAMERA, set_camera_effects
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
 _EXPOSURE = 8e-3  # exposure time for motion blur, s

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.scenario import Scenario
 from mjtactile.core.task import SampledTask, Task, load_task
 from mjtactile.rig.as_built_sensor import AsBuiltSensor, true_design
@@ -27,7 +28,7 @@ from mjtactile.sim.scenes.disturbances import DisturbanceSchedule
 from mjtactile.sim.scenes.grasp_world import GraspWorld, finger_designs
 from mjtactile.sim.scenes.objects import ObjectModel, load_object, with_liquid
 from mjtactile.sim.sensing_error_model import load_errors
-from mjtactile.sim.sensor.effect_switches import Effect, set_design
+from mjtactile.sim.sensor.effect_switches import set_design
 from mjtactile.sim.sensor.sensor_types import AnySensor
 from mjtactile.sim.synthetic_touch import SyntheticTouchSource
 

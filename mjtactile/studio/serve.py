@@ -20,8 +20,11 @@ from mujoco.studio import app, viewer_handle, viewer_protocol
 from mjtactile.core import signals
 from mjtactile.core.errors import InputError, Interrupted, MjtactileError
 from mjtactile.core.loopback import LOOPBACK
+from mjtactile.core.scenario import Scenario
+from mjtactile.rig.registry import SIMULATES, request_of
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
+from mjtactile.sim.scenes.objects import load_object
 from mjtactile.studio.control_window import ControlWindow
 from mjtactile.studio.local_server import checked_at, launch
 from mjtactile.studio.panel import Panel
@@ -80,6 +83,8 @@ def watch(
     )
     if not native:
         require_free_port(port)
+    if not isinstance(bridge, RecordingPlayer):
+        _require_valid(bridge.scenario)
     mirror = StateSync(bridge)
     studio_app = app.App(app.Config(show_options=False, show_inspector=False))
     desk = PlaybackWindow(bridge) if isinstance(bridge, RecordingPlayer) else ControlWindow(bridge)
@@ -118,6 +123,14 @@ def require_free_port(port: int) -> None:
         message = f"port {port} is not available: {error.strerror}"
         choices = ["another port", "no --port: the first free one"]
         raise InputError(message, field="--port", choices=choices) from error
+
+
+def _require_valid(scenario: Scenario) -> None:
+    """Raise InputError for a wrong name or file, before the page is waited for."""
+    load_controller(scenario.controller)
+    kind, _ = request_of(scenario)
+    if kind in SIMULATES:
+        load_object(scenario.object)
 
 
 def _wait_for_page(bridge: SessionBridge) -> None:

@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 import warp as wp
 
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Array
 from mjtactile.plugin.attach import AttachedSensor
 from mjtactile.plugin.sim_finger import OUTPUTS
-from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.feature_size import name_of
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms

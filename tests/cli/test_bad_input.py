@@ -53,7 +53,7 @@ def bad_controller(text, *words):
 
 # case: option, file name, its text (None: not made), words that the message must have
 CASES = {
-    "empty scenario": ("--scenario", "", None, ["--scenario", "scenario format"]),
+    "empty scenario": ("--scenario", "", None, ["--scenario", "is empty"]),
     "accuracy below the solver's noise": ("--accuracy", "1e-12N", None, ["1e-12N", "0.0001 N"]),
     "unknown object": ("--object", "eg", None, ["eg", "egg", "strawberry", "vial"]),
     "unknown sensor": ("--sensor", "dens", None, ["dens", "dense", "paper16"]),
@@ -269,3 +269,48 @@ def test_help_teaches(command):
 def test_nothing_is_left_in_the_working_folder(command, tmp_path):
     command("grasp", "--object", "stone")
     assert list(Path(tmp_path).iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("accuracy", "-1N"), ("accuracy", "nan"), ("effects", "+ghost")]
+)
+@pytest.mark.parametrize("name", ["grasp", "evaluate"])
+def test_a_wrong_value_in_a_scenario_file_names_file_and_field(
+    command, tmp_path, name, field, value
+):
+    (tmp_path / "a.toml").write_text(f'{field} = "{value}"\n')
+    done = command(name, "--scenario", "a.toml")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"mjtactile: a.toml: {field}: ")
+    assert value in done.stderr
+    assert not list((tmp_path / "runs").glob("*/episodes*"))
+
+
+@pytest.mark.parametrize("option", ["--accuracy", "--effects", "--object"])
+def test_an_empty_option_is_not_its_default(command, option):
+    done = command("grasp", f"{option}=")
+    assert done.returncode == 2
+    assert f"argument {option}: is empty" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("evaluate", "--backend=ray"),
+        ("evaluate", "--scheduler=tcp://a:1"),
+        ("evaluate", "--readme=none.md"),
+        ("evaluate", "--accuracy=-1"),
+        ("explore", "--accuracy=nan"),
+        ("design", "--seed=-1"),
+        ("studio", "--no-browser", "--object=eg"),
+        ("studio", "--no-browser", "--controller=gentl"),
+        ("studio", "--no-browser", "--task=lif"),
+    ],
+)
+def test_a_wrong_option_is_refused_before_anything_starts(command, tmp_path, words):
+    done = command(*words)
+    assert done.returncode == 2
+    option, _, value = words[-1].partition("=")
+    assert option in done.stderr or value in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

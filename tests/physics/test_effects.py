@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.runtime.discretization_error import GraspEstimate, coarser, richardson
@@ -23,7 +24,6 @@ from mjtactile.sim.scenes.objects import load_object
 from mjtactile.sim.sensor.effect_switches import (
     CAMERA,
     PHYSICS,
-    Effect,
     effects_named,
     set_camera_effects,
     set_design,

@@ -12,12 +12,13 @@ import pytest
 from scipy.optimize import brentq
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.relaxation import Relaxation
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
-from mjtactile.sim.sensor.effect_switches import PHYSICS, Effect
+from mjtactile.sim.sensor.effect_switches import PHYSICS
 from mjtactile.sim.sensor.mesh import make_mesh
 from mjtactile.sim.sensor.rubber_flex import RelaxingMesh
 

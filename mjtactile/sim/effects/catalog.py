@@ -21,13 +21,13 @@ import numpy as np
 
 from mjtactile.core import resources
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.effect_names import Effect, read_switches
 from mjtactile.core.errors import InputError
 from mjtactile.sim.effects import activation_rules
 from mjtactile.sim.effects.activation_rules import Gate, Scene
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR
 from mjtactile.sim.scenes.objects import ObjectModel, read_spec
 from mjtactile.sim.sensor import feature_size, sharp_geoms
-from mjtactile.sim.sensor.effect_switches import Effect, read_switches
 
 
 @dataclass(frozen=True)

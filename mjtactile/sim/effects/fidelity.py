@@ -22,15 +22,13 @@ from typing import Any
 
 from mjtactile.core import resources
 from mjtactile.core.errors import InputError
+from mjtactile.core.fidelity_levels import MIN_FORCE_ERROR, read_accuracy
 
 REAL_TIME_MARGIN = 1.25
 """Minimum speed of the physics relative to real time, with a margin for the other tasks."""
-CHOICES = ("0.02N (a force error)", "realtime")
 QUASISTATIC = "-mesh"
 DEFAULT_FORCE_ERROR = 0.02
 """Default force error for the choice of effects, N."""
-MIN_FORCE_ERROR = 1e-4
-"""Minimum force error that can be required, N. The solver's noise in a grasp is larger."""
 
 
 @dataclass(frozen=True)
@@ -101,16 +99,9 @@ class Fidelity:
     @classmethod
     def parse(cls, text: str, table: Path | None = None, *, membranes: bool = False) -> Fidelity:
         """Read "0.02N" or "realtime"; `membranes` as in `for_force_error`. Raises InputError."""
-        word = text.strip().lower()
-        if word in ("realtime", "real-time"):
+        value = read_accuracy(text, "--accuracy")
+        if value is None:
             return cls.for_real_time(table)
-        try:
-            value = float(word.removesuffix("n").strip())
-        except ValueError:
-            value = math.nan
-        if not word.endswith("n") or not MIN_FORCE_ERROR <= value < math.inf:
-            message = f"{text!r} is not an accuracy of at least {MIN_FORCE_ERROR:g} N"
-            raise InputError(message, field="--accuracy", choices=CHOICES)
         return cls.for_force_error(value, table, membranes=membranes)
 
     def with_effects(self, overrides: str) -> str:

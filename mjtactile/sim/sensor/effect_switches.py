@@ -9,52 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import replace
-from enum import StrEnum
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.effect_names import Effect, read_switches
 from mjtactile.core.errors import InputError
 from mjtactile.core.neo_hookean import Law
-from mjtactile.core.renamed import EFFECTS, hint
 from mjtactile.core.sensor_parts import Chamber
 from mjtactile.core.types import Array
 from mjtactile.sim.sensor.chamber import ChamberGeometry, GasTendon
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.membrane import FLEX, TENDON
 from mjtactile.sim.sensor.mesh import MembraneMesh
-
-
-class Effect(StrEnum):
-    """Optional effects of a simulation; an effect equals its name."""
-
-    MESH = "mesh"
-    GAS = "gas"
-    LARGE_DEFLECTION = "large deflection"
-    BENDING = "bending"
-    FRICTION = "friction"
-    GRAVITY = "gravity"
-    FOLLOWER_PRESSURE = "follower pressure"
-    HYPERELASTICITY = "hyperelasticity"
-    HEAT_EXCHANGE = "heat exchange"
-    VALVE_FLOW = "valve flow"
-    RELAXATION = "relaxation"
-    SERVO_DYNAMICS = "servo dynamics"
-    CAMERA_NOISE = "camera noise"
-    BLUR = "blur"
-    MOTION_BLUR = "motion blur"
-    DISTORTION = "distortion"
-    REFRACTION = "refraction"
-    LED_SHADING = "LED shading"
-    SHADOWS = "shadows"
-    LATENCY = "latency"
-    IMAGES = "images"
-    PIPELINE = "pipeline"
-    PLASTICITY = "plasticity"
-    VOLUMETRIC_SOFTNESS = "volumetric softness"
-
 
 PHYSICS = frozenset(
     {
@@ -102,24 +71,6 @@ def effects_named(
         if not isinstance(name, str) or name not in set(Effect):
             raise InputError(f"{name!r} is not an effect", field="effects", choices=Effect)
     return frozenset(map(Effect, names))
-
-
-def read_switches(text: str, field: str) -> dict[Effect, bool]:
-    """Read "auto" or "+bending,-friction" into effect to on. Raises InputError naming `field`."""
-    by_name = {effect.lower(): effect for effect in Effect}
-    switches: dict[Effect, bool] = {}
-    for part in [] if text.strip() in ("", "auto") else text.split(","):
-        sign = part.strip()[:1]
-        name = part.strip()[1:].strip().replace("_", " ")
-        effect = by_name.get(name.lower())
-        if sign not in ("+", "-") or effect is None:
-            raise InputError(
-                f"{part.strip()!r} is not +NAME or -NAME{hint(name, EFFECTS)}",
-                field=field,
-                choices=["auto", *Effect],
-            )
-        switches[effect] = sign == "+"
-    return switches
 
 
 def set_physics(child: mujoco.MjSpec, mesh: MembraneMesh, on: frozenset[str]) -> None:

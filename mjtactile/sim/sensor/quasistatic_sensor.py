@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.flags import Reasons
 from mjtactile.core.types import Array
 from mjtactile.kernels import bound, words
@@ -23,7 +24,6 @@ from mjtactile.quasistatic.incremental import IncrementalMembrane
 from mjtactile.quasistatic.membrane import QuasistaticMembrane
 from mjtactile.sim.sensor import feature_size, validity_checks
 from mjtactile.sim.sensor.base_sensor import BaseSensor
-from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.gas import ChamberGas
 from mjtactile.sim.sensor.mesh import MembraneMesh, onto_mesh
 from mjtactile.sim.sensor.quasistatic_forces import HOLD, pushes_of

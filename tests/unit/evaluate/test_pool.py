@@ -63,15 +63,21 @@ def test_a_dask_cluster_writes_the_same_lines(tmp_path, quick):
 @pytest.mark.parametrize(
     ("pool", "message"),
     [
-        (Pool("ray"), "--backend: 'ray' is unknown"),
-        (Pool(scheduler="tcp://a:1"), "--scheduler: applies to a cluster"),
-        (Pool("dask"), "--backend: the address of the cluster is missing"),
-        (Pool("dask", scheduler="tcp://127.0.0.1:9"), "--scheduler: no scheduler"),
+        ({"backend": "ray"}, "--backend: 'ray' is unknown"),
+        ({"scheduler": "tcp://a:1"}, "--scheduler: applies to a cluster"),
+        ({"backend": "dask"}, "--backend: the address of the cluster is missing"),
     ],
 )
-def test_bad_pools(monkeypatch, pool, message):
+def test_a_bad_pool_is_refused_before_a_folder_is_made(tmp_path, pool, message):
+    with pytest.raises(InputError, match=message):
+        evaluate(tmp_path / "out", running=Running(workers=1, **pool), **COMMON)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scheduler_that_does_not_answer(monkeypatch):
     monkeypatch.setattr("mjtactile.evaluate.pool._CONNECT_TIME", 0.5)
-    with pytest.raises(InputError, match=message), pool.open(1):
+    pool = Pool("dask", scheduler="tcp://127.0.0.1:9")
+    with pytest.raises(InputError, match="--scheduler: no scheduler"), pool.open(1):
         pass
 
 

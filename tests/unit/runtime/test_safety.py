@@ -112,6 +112,14 @@ def test_a_leak_is_found_by_pressure(supervisor, pressures):
     assert "lost pressure" in supervisor.reason
 
 
+@pytest.mark.parametrize(("sealed", "later"), [(4.0, -2.0), (-996.0, -996.0)])
+def test_a_chamber_at_or_below_the_air_s_pressure_does_not_leak(supervisor, sealed, later):
+    for time, pressure in ((0.0, sealed), (0.1, later)):  # the noise of a sensor
+        valve = ValveState(False, pressure)
+        supervisor.decide(time, LAST, LAST, (OK, OK), (valve, valve))
+    assert supervisor.state != "safe"
+
+
 def test_a_leak_is_found_by_shape_without_a_sensor(supervisor):
     def seen(volume):
         return Touch(0.0, 0.0, 0.0, 0.01, False, surface=SimpleNamespace(volume=volume))  # type: ignore[arg-type]

@@ -13,6 +13,7 @@ import pytest
 from mjtactile.core import resources
 from mjtactile.core.config_fields import default_of, entries, from_table
 from mjtactile.core.design import load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.rig.as_built_sensor import AsBuiltSensor
@@ -24,7 +25,6 @@ from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.rendering.image_faults import STEPS, FaultyImage
 from mjtactile.sim.rendering.renderer import Renderer
 from mjtactile.sim.sensor.effect_switches import CAMERA as SAMPLED
-from mjtactile.sim.sensor.effect_switches import Effect
 
 DESIGN = load_sensor("dense")
 UP = np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))

@@ -5,12 +5,12 @@ import json
 
 import pytest
 
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.sim.effects import fidelity
 from mjtactile.sim.effects.fidelity import DEFAULT_FORCE_ERROR, Fidelity
 from mjtactile.sim.rig import build_sim_rig
-from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mjtactile.core.design import load_sensor
+from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
 from mjtactile.runtime.controller import Controller
@@ -15,7 +16,6 @@ from mjtactile.runtime.session import open_session
 from mjtactile.sim.camera import SimCamera
 from mjtactile.sim.effects.catalog import choose
 from mjtactile.sim.sensing_error_model import load_errors, parse_error_model
-from mjtactile.sim.sensor.effect_switches import Effect
 from mjtactile.sim.synthetic_touch import SensingErrorSampler
 
 DENSE = load_sensor("dense")
