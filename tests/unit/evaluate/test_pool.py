@@ -70,7 +70,9 @@ def test_a_dask_cluster_writes_the_same_lines(tmp_path, quick):
 )
 def test_a_bad_pool_is_refused_before_a_folder_is_made(tmp_path, pool, message):
     with pytest.raises(InputError, match=message):
-        evaluate(tmp_path / "out", running=Running(workers=1, **pool), **COMMON)
+        evaluate(
+            tmp_path / "out", controllers=["gentle"], running=Running(workers=1, **pool), **COMMON
+        )
     assert not (tmp_path / "out").exists()
 
 
