@@ -125,64 +125,116 @@ static void pose_of(const Scene *s, long slot, double R_SB[9], double p_SB[3]) {
     into(s->R, off, p_SB);
 }
 
+/* Loads of the nodes in contact at the last sticking stiffness (2, count), N; patch of each node, plus
+   one; loads by unit motions of the patches (3 slots, 2, count). */
+typedef struct { const int32_t *patch; double *load, *unit; } Held;
+
 /* Return the position of a node in the plane, along x or y. */
 static inline double x_of(const Membrane *f, const double *x, long k) { return k / f->rows * f->dx - f->numbers.length_x / 2 + x[k]; }
 static inline double y_of(const Membrane *f, const double *x, long k) {
     return k % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + k];
 }
 
-/* Compute the stiffness `grip` (3 slots, 3 slots) of the contact nodes against x, y and rotation of
-   the patches about their centers. The nodes of a patch move as one rigid set. `held`: patch of
-   each node, plus one. Returns 1 if memory runs out. */
-static int find_grip(const Membrane *f, const double *x, const double *compliance, long slots, double *grip, const int32_t *held, Memory *m,
-                     Patch *patches) {
-    long count = 0, wide = 0, *node = malloc((f->inner + slots) * sizeof *node), *column = node + f->inner;
-    if (!node) return 1;
-    for (long s = 0; s < slots; s++) {
-        column[s] = patches[s].touching ? 3 * wide++ : -1;
-        patches[s].gripped = 0;
+/* Return the index of x of a node among the in-plane displacements of the inner nodes; y is next. */
+static inline long inner_of(const Membrane *f, long k) { return 2 * ((k / f->rows - 1) * f->inner_rows + k % f->rows - 1); }
+
+/* Compute the displacement of an inner node along `axis` by the loads on nodes in contact. */
+static double displacement_of(const Membrane *f, const double *compliance, const Held *h, long k, int axis) {
+    const double *row = compliance + (inner_of(f, k) + axis) * 2 * f->inner;
+    double sum = 0;
+    for (long n = 0; n < f->count; n++) {
+        const double along_x = h->load[n], along_y = h->load[f->count + n];
+        if (along_x != 0 || along_y != 0) sum += row[inner_of(f, n)] * along_x + row[inner_of(f, n) + 1] * along_y;
     }
-    for (long i = 1; i < f->columns - 1; i++)
-        for (long j = 1; j < f->rows - 1; j++) {
-            const long k = i * f->rows + j;
-            if (held[k]) node[count++] = k, patches[held[k] - 1].gripped += 1;
+    return sum;
+}
+
+/* Add the loads by the patches' motions since the last stiffness to those of that time, and start the
+   motions again. */
+static void collect_loads(const Membrane *f, long slots, Held *h, Patch *patches) {
+    for (long s = 0; s < slots; s++)
+        for (int c = 0; c < 3; c++) {
+            const double by = patches[s].strain[c], *unit = h->unit + (3 * s + c) * 2 * f->count;
+            patches[s].strain[c] = 0;
+            for (long k = 0; k < 2 * f->count && by != 0; k++) h->load[k] += by * unit[k];
         }
-    const long n = 2 * count, all = 2 * f->inner, loads = 3 * wide;
-    double *A = malloc((n * n + loads * n) * sizeof *A), *b = A + n * n;
-    if (!A) return free(node), 1;
-    memset(b, 0, loads * n * sizeof *b);
-    for (long a = 0; a < n; a++) {
-        const long ka = node[a / 2], ma = 2 * ((ka / f->rows - 1) * f->inner_rows + ka % f->rows - 1) + a % 2;
-        for (long c = 0; c <= a; c++) {
-            const long kc = node[c / 2], mc = 2 * ((kc / f->rows - 1) * f->inner_rows + kc % f->rows - 1) + c % 2;
-            A[a * n + c] = compliance[ma * all + mc];
-        }
-        const Patch *own = patches + held[ka] - 1;
-        const double off_x = x_of(f, x, ka) - own->middle[0], off_y = y_of(f, x, ka) - own->middle[1];
-        double *rigid = b + loads * a + column[held[ka] - 1];
-        rigid[0] = a % 2 == 0, rigid[1] = a % 2, rigid[2] = a % 2 ? off_x : -off_y;
-    }
-    for (long a = 0; a < n; a++) { /* Cholesky and forward substitution: K = (L^-1 B)^T (L^-1 B) */
+}
+
+/* Factorize the positive definite A (n, n): A = L L^T in its lower triangle. */
+static void factorize(long n, double *A) {
+    for (long a = 0; a < n; a++)
         for (long c = 0; c <= a; c++) {
             double sum = A[a * n + c];
             for (long k = 0; k < c; k++) sum -= A[a * n + k] * A[c * n + k];
             A[a * n + c] = c < a ? sum / A[c * n + c] : sqrt(max_of(sum, 1e-30));
         }
-        for (long c = 0; c < loads; c++) {
-            double sum = b[loads * a + c];
-            for (long k = 0; k < a; k++) sum -= A[a * n + k] * b[loads * k + c];
-            b[loads * a + c] = sum / A[a * n + a];
+}
+
+/* Solve L L^T x = b for the columns of b (n, wide), in place. */
+static void solve_factorized(long n, const double *L, long wide, double *b) {
+    for (long a = 0; a < n; a++)
+        for (long c = 0; c < wide; c++) {
+            double sum = b[wide * a + c];
+            for (long k = 0; k < a; k++) sum -= L[a * n + k] * b[wide * k + c];
+            b[wide * a + c] = sum / L[a * n + a];
         }
+    for (long a = n - 1; a >= 0; a--)
+        for (long c = 0; c < wide; c++) {
+            double sum = b[wide * a + c];
+            for (long k = a + 1; k < n; k++) sum -= L[k * n + a] * b[wide * k + c];
+            b[wide * a + c] = sum / L[a * n + a];
+        }
+}
+
+/* Return component `c` of the rigid motions x, y and rotation of a point at `off` from the center. */
+static inline double rigid(int c, int axis, const double off[2]) { return c < 2 ? c == axis : axis ? off[0] : -off[1]; }
+
+/* Compute the stiffness `grip` (3 slots, 3 slots) of the contact nodes against x, y and rotation of
+   the patches about their centers, and their loads. The nodes of a patch move as one rigid set. A
+   node joins the contact without a load: the others were displaced before. Nodes that stay keep their
+   displacements when others leave. Returns 1 if memory runs out. */
+static int find_grip(const Membrane *f, const double *x, const double *compliance, long slots, double *grip, Held *h, Memory *m,
+                     Patch *patches) {
+    long count = 0, wide = 0, *node = malloc((f->inner + slots) * sizeof *node), *column = node + f->inner;
+    if (!node) return 1;
+    collect_loads(f, slots, h, patches);
+    for (long s = 0; s < slots; s++) {
+        column[s] = patches[s].touching ? 3 * wide++ : -1;
+        patches[s].gripped = 0, memset(patches[s].base, 0, sizeof patches[s].base);
     }
-    memset(grip, 0, 9 * slots * slots * sizeof *grip);
-    for (long s = 0; s < slots; s++)
-        for (long t = 0; t < slots; t++) {
-            if (column[s] < 0 || column[t] < 0) continue;
-            for (long a = 0; a < n; a++)
-                for (int c = 0; c < 3; c++)
-                    for (int d = 0; d < 3; d++)
-                        grip[(3 * s + c) * 3 * slots + 3 * t + d] += b[loads * a + column[s] + c] * b[loads * a + column[t] + d];
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++) {
+            const long k = i * f->rows + j;
+            if (h->patch[k]) node[count++] = k, patches[h->patch[k] - 1].gripped += 1;
         }
+    const long n = 2 * count, all = 2 * f->inner, loads = 3 * wide, last = loads;
+    double *A = malloc((n * n + (loads + 1) * n) * sizeof *A), *b = A + n * n;
+    if (!A) return free(node), 1;
+    memset(b, 0, (loads + 1) * n * sizeof *b);
+    for (long a = 0; a < n; a++) {
+        const long ka = node[a / 2], ma = inner_of(f, ka) + a % 2;
+        for (long c = 0; c <= a; c++) A[a * n + c] = compliance[ma * all + inner_of(f, node[c / 2]) + c % 2];
+        const Patch *own = patches + h->patch[ka] - 1;
+        const double off[2] = {x_of(f, x, ka) - own->middle[0], y_of(f, x, ka) - own->middle[1]};
+        for (int c = 0; c < 3; c++) b[(loads + 1) * a + column[h->patch[ka] - 1] + c] = rigid(c, a % 2, off);
+        b[(loads + 1) * a + last] = displacement_of(f, compliance, h, ka, a % 2);
+    }
+    factorize(n, A), solve_factorized(n, A, loads + 1, b);
+    memset(grip, 0, 9 * slots * slots * sizeof *grip);
+    memset(h->load, 0, 2 * f->count * sizeof *h->load), memset(h->unit, 0, 6 * slots * f->count * sizeof *h->unit);
+    for (long a = 0; a < n; a++) {
+        const long k = node[a / 2], own = h->patch[k] - 1;
+        const double off[2] = {x_of(f, x, k) - patches[own].middle[0], y_of(f, x, k) - patches[own].middle[1]};
+        const double *row = b + (loads + 1) * a;
+        h->load[a % 2 * f->count + k] = row[last];
+        for (int c = 0; c < 3; c++) patches[own].base[c] += rigid(c, a % 2, off) * row[last];
+        for (long t = 0; t < slots; t++)
+            for (int d = 0; d < 3 && column[t] >= 0; d++) {
+                const double by = row[column[t] + d];
+                h->unit[(2 * (3 * t + d) + a % 2) * f->count + k] = by;
+                for (int c = 0; c < 3; c++) grip[(3 * own + c) * 3 * slots + 3 * t + d] += rigid(c, a % 2, off) * by;
+            }
+    }
     m->gripped = (double)count;
     free(A), free(node);
     return 0;
@@ -215,7 +267,7 @@ static void find_middle(const Membrane *f, const double *x, const double *force,
 
 static void release(Patch *p) {
     p->touching = 0, p->slides = 0, p->gripped = 0, p->radius = 0;
-    memset(p->wrench, 0, sizeof p->wrench), memset(p->strain, 0, sizeof p->strain), memset(p->shear, 0, sizeof p->shear);
+    memset(p->wrench, 0, sizeof p->wrench), memset(p->strain, 0, sizeof p->strain), memset(p->shear, 0, sizeof p->shear), memset(p->base, 0, sizeof p->base);
 }
 
 /* Return the obstacle on which a node lies, or -1: the lowest one over it, or next to it if the node
@@ -359,7 +411,7 @@ static int64_t solve(const Solution *c, const Scene *s, const double *settings, 
    `find_middle`. Returns 1 if memory runs out. */
 static int hold_again(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const Given *g, const double *x,
                      const double *force, const double *found, const double *compliance, double *x_before, int32_t *touched, Memory *m,
-                     Patch *patches, double *grip, double *shift) {
+                     Patch *patches, double *grip, Held *held, double *shift) {
     int32_t *was = touched + f->count, *owner = was + f->count;
     long differ = 0, count = 0, others = !m->gripped;
     find_owners(f, bodies, s, seen, line, x, force, m, patches, was, owner);
@@ -373,9 +425,10 @@ static int hold_again(const Membrane *f, const Bodies *bodies, const Scene *s, c
     }
     for (long k = 0; k < f->count; k++) was[k] = owner[k], count += was[k] > 0, differ += was[k] != touched[k];
     memcpy(x_before, x, 2 * f->count * sizeof *x);
+    if (!m->touching) memset(held->load, 0, 2 * f->count * sizeof *held->load);
     if (!m->touching || !(g->friction > 0) || !(others || differ > CHANGED * (double)count)) return 0;
     memcpy(touched, was, f->count * sizeof *was);
-    return find_grip(f, x, compliance, s->slots, grip, touched, m, patches);
+    return find_grip(f, x, compliance, s->slots, grip, held, m, patches);
 }
 
 /* Solve K x = b for one patch, by Cholesky's factors; `wide`: row length of K. A patch of one node has
@@ -404,7 +457,8 @@ static void solve_patch(const double *K, long wide, const double *b, double *x) 
    forces `pressed` (slots). A patch slides until its load, to which its neighbors contribute through
    the membrane, is within the limit. Return the sliding distance, m, of their mean weighted by force:
    parts of a soft body that are pressed apart slide in opposite directions. */
-static double stick(const Given *g, long slots, const double *pressed, const double *along, const double *grip, Patch *patches) {
+static double stick(const Membrane *f, const Given *g, long slots, const double *pressed, const double *along, const double *grip, Held *h,
+                    Patch *patches) {
     double total = 0, slip[2] = {0};
     long count = 0;
     for (long s = 0; s < slots; s++) {
@@ -418,7 +472,7 @@ static double stick(const Given *g, long slots, const double *pressed, const dou
         double load[3], beyond[3], slides[3];
         for (int i = 0; i < 3; i++) {
             const double *K = grip + (3 * s + i) * 3 * slots, *own = K + 3 * s;
-            load[i] = own[0] * p->strain[0] + own[1] * p->strain[1] + own[2] * p->strain[2];
+            load[i] = p->base[i] + own[0] * p->strain[0] + own[1] * p->strain[1] + own[2] * p->strain[2];
             for (long t = 0; t < slots; t++)
                 for (int j = 0; j < 3 && t != s && patches[t].touching; j++) load[i] += K[3 * t + j] * patches[t].strain[j];
         }
@@ -430,6 +484,8 @@ static double stick(const Given *g, long slots, const double *pressed, const dou
         for (int i = 0; i < 3; i++) beyond[i] = (1 - p->left) * load[i], slides[i] = (1 - p->left) * p->strain[i];
         if (count > 1) solve_patch(grip + 9 * s * slots + 3 * s, 3 * slots, beyond, slides);
         for (int i = 0; i < 3; i++) p->strain[i] = count > 1 ? p->strain[i] - slides[i] : p->strain[i] * p->left;
+        for (int i = 0; i < 3 && count == 1; i++) p->base[i] *= p->left;
+        for (long k = 0; k < 2 * f->count && count == 1; k++) h->load[k] *= p->left;
         for (int i = 0; i < 2 && total > 0; i++) slip[i] += pressed[s] / total * slides[i];
     }
     return hypot(slip[0], slip[1]);
@@ -465,6 +521,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
     const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier,
                      f.numbers.depth};
     (void)nbody, (void)ngeom;
+    Held held = {touched, before + 6 * f.count, before + 8 * f.count};
     const int has_moved = update_patches(&s, body, m, patches);
     const int again = m->time == g->time; /* same time instant */
     /* a repeated update changes nothing */
@@ -513,7 +570,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
             }
             const Bodies bodies = {geoms, body, pool, 0};
             const Seen seen = qs_lowest_before(&padded, &room);
-            if (hold_again(&f, &bodies, &s, &seen, padded.line, g, x, force, found, compliance, before, touched, m, patches, grip, shift))
+            if (hold_again(&f, &bodies, &s, &seen, padded.line, g, x, force, found, compliance, before, touched, m, patches, grip, &held, shift))
                 return free(own), NO_MEMORY;
         } else {
             for (long k = 0; k < slots; k++)
@@ -536,7 +593,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
         for (int i = 0; i < 2; i++) along[3 * k + i] = moved[6 * k + i] - shift[2 * k + i];
         along[3 * k + 2] = moved[6 * k + 5];
     }
-    if (g->friction > 0) m->slid += stick(g, slots, pressed, along, grip, patches);
+    if (g->friction > 0) m->slid += stick(&f, g, slots, pressed, along, grip, &held, patches);
     for (long k = 0; k < slots; k++) {
         Patch *p = patches + k;
         if (!p->touching) continue;

@@ -109,6 +109,7 @@ class Touch:
             The next call overwrites it.
         """
         part, physics = self.membranes, self._physics
+        states = physics.states
         with wp.ScopedDevice(part.device):
             if self._markers is None:
                 rest, weights = weights_of(part.membrane)
@@ -119,7 +120,7 @@ class Touch:
                 find_markers,
                 dim=[part.count],
                 inputs=[
-                    *(part.rubber, part.fields, physics.states.patches, physics.sensor_geoms.slots),
+                    *(part.rubber, part.fields, states.patches, states.load, states.unit),
                     *(physics.sticking, *self._markers, self._positions),
                 ],
                 block_dim=part.block,
@@ -171,6 +172,8 @@ def _states(membranes: Membranes, sensor_geoms: Any) -> Any:
     states = States()
     states.patches = wp.zeros((count, sensor_geoms.bodies.shape[1]), dtype=Patch)
     states.before = wp.zeros((count, 3, nodes), dtype=float)
+    states.load = wp.zeros((count, 2, nodes), dtype=float)
+    states.unit = wp.zeros((count, 6 * sensor_geoms.bodies.shape[1], nodes), dtype=float)
     friction = float(membranes.design.membrane.friction)
     states.friction = wp.full(count, friction, dtype=float)
     states.wrench = wp.zeros((count, 6), dtype=float)

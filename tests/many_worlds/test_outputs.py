@@ -89,22 +89,29 @@ def test_sensordata_has_the_wrench_the_pressure_and_the_contact(held):
 
 
 def test_markers_move_with_the_membrane_and_the_shear(held):
-    """The same nodes and strain by the CPU's exact compliance and splines."""
+    """The same loads by the CPU's exact compliance and splines."""
     touch, membrane = held.touch, held.membrane
     found = touch.markers().numpy()[0, 0]
     u = touch.membranes.fields.u.numpy()[0].astype(float).reshape(3, *membrane.grid)
-    force = touch.membranes.fields.force.numpy()[0].astype(float).reshape(membrane.grid)
-    owners = (force > 0).astype(np.int32)
-    strain = touch._physics.states.patches.numpy()[0, 0]["strain"]
-    grip = sticking_of(membrane).grip(u, np.where(owners, force + 1e-9, 0), owners)
+    states = touch._physics.states
+    strain = states.patches.numpy()[0, 0]["strain"].astype(float)
+    unit = states.unit.numpy()[0].reshape(3, 2, *membrane.grid)
+    load = states.load.numpy()[0].reshape(2, *membrane.grid) + np.tensordot(strain, unit, 1)
+    fields = touch.membranes.fields
+    normal, slopes = fields.force.numpy()[0], (fields.slope_x.numpy()[0], fields.slope_y.numpy()[0])
+    tilted = [float((normal * slope).sum()) for slope in slopes]  # frictionless, of a tilted disc
+    # single precision
+    expected = touch.wrench.numpy()[0, 0, :2] - tilted
+    assert load.sum(axis=(1, 2)) == pytest.approx(expected, abs=1e-5)
+    inner = load[:, 1:-1, 1:-1].reshape(2, -1).T.ravel()
+    shear = (sticking_of(membrane).compliance @ inner).reshape(-1, 2)
     frame = membrane.design.frame
     mesh = make_mesh(frame.length, frame.width, *membrane.grid)
     moved = u.reshape(3, -1).T.copy()
-    shear = (grip.spread @ strain).T
     moved[mesh.interior, :2] += shear
     markers = MarkerInterpolator(mesh, membrane.design.markers.p_SM)
     assert np.abs(shear).max() > 3e-5  # m: not at rest
-    # conjugate gradients to 1e-4 of the shear
+    # single precision
     assert found == pytest.approx(markers.marker_poses(mesh.p_SV + moved)[0], abs=5e-8)
 
 

@@ -87,7 +87,7 @@ class QuasistaticSensor(BaseSensor):
         self._grip = np.zeros((3 * count, 3 * count))
         # patches of the nodes, plus one: at the last sticking stiffness, and at the last solution
         self._touched = np.zeros((3, *membrane.grid), np.int32)
-        self._before = np.zeros((6, *membrane.grid))
+        self._before = np.zeros((8 + 6 * count, *membrane.grid))
         self._pushes = pushes_of(model, data)
         self._number = self._pushes.join(prefix, count)
         self._force = np.zeros((2, model.nv))  # and damping
@@ -192,6 +192,7 @@ class QuasistaticSensor(BaseSensor):
         live.rest_on(gauge_pressure, False, 1.0)
         self._numbers[:] = 0.0
         self._patch_numbers[:] = 0.0
+        self._before[:] = 0.0
         self._qs_gas.seal(gauge_pressure, self.time)
         self._update_membrane()
 
@@ -299,17 +300,17 @@ class QuasistaticSensor(BaseSensor):
     def _positions(self) -> Callable[[], Array]:
         """Return a function that computes `p_SV` of the last update."""
         x = self._live.x.copy()
-        held = None
-        if self.is_touched and self._patches["strain"].any():
-            held = self._touched[0].copy()
-            normal = np.where(held, self._live.force + 1e-9, 0.0)
-            strains = self._patches["strain"].copy()
+        load = None
+        if self.is_touched and self.friction > 0:
+            count = len(self._patches)
+            unit = self._before[8:].reshape(3 * count, 2, *x.shape[1:])
+            load = self._before[6:8] + np.tensordot(self._patches["strain"].ravel(), unit, 1)
 
         def positions() -> Array:
             moved = x.reshape(3, -1).T.copy()
-            if held is not None:
-                grip = self._sticking.grip(x, normal, held)
-                moved[self.mesh.interior, :2] += (grip.spread @ strains[grip.labels - 1].ravel()).T
+            if load is not None:
+                inner = load[:, 1:-1, 1:-1].reshape(2, -1).T.ravel()
+                moved[self.mesh.interior, :2] += (self._sticking.compliance @ inner).reshape(-1, 2)
             return self.mesh.p_SV + (moved if self._onto_mesh is None else self._onto_mesh @ moved)
 
         return positions

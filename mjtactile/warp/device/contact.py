@@ -26,7 +26,9 @@ class Patch:
     """Contact of one body on one membrane, and the memory of its friction.
 
     `force` and `torque` act on the membrane about the origin of S. `area` m^2 is that of X5.
-    `strain` is the shear displacement, m, m, rad, `grip` the stiffness against it about `middle`.
+    `grip` is the stiffness against motion about `middle`, `base` the load, N, N, N m, of the nodes
+    when it was computed, `strain` the motion since then, m, m, rad. Sliding left the fraction
+    `left` of the load.
     `shift` is the in-plane motion, m, of the contact nodes since the last solution, which is no
     motion of the body over the membrane. `moved` and `turned` are the motion of the body in the
     last step, `R` and `p` its pose.
@@ -42,6 +44,8 @@ class Patch:
     force: wp.vec3
     torque: wp.vec3
     strain: wp.vec3
+    base: wp.vec3
+    left: float
     grip: wp.mat33
     R: wp.mat33
     p: wp.vec3
@@ -166,7 +170,7 @@ def stick(
 ) -> Patch:
     """Return `now` with friction: the strain of `last` and the body's motion, by Coulomb's law.
 
-    `grip` is the stiffness of the patch.
+    `grip` is the stiffness of the patch. `now` has its load at that time and the motion since then.
     """
     found = now
     found.R = R
@@ -188,11 +192,11 @@ def stick(
                 rotation[0, 2] - rotation[2, 0],
                 rotation[1, 0] - rotation[0, 1],
             )
-            strain = last.strain + wp.vec3(
+            strain = now.strain + wp.vec3(
                 step[0] - now.shift[0], step[1] - now.shift[1], found.turned[2]
             )
             slid = last.slid
-        load = found.grip @ strain
+        load = found.base + found.grip @ strain
         arm = wp.max(now.radius, 0.25 * wp.min(membrane.dx, membrane.dy))
         carried = wp.length(wp.vec3(load[0], load[1], load[2] / arm))
         limit = friction * now.normal
@@ -202,6 +206,8 @@ def stick(
             found.slides = 1
         found.slid = slid + (1.0 - left) * wp.length(wp.vec2(strain[0], strain[1]))
         found.strain = left * strain
+        found.base = left * found.base
+        found.left = left
         shear = left * wp.vec3(load[0], load[1], 0.0)
         found.force = now.force + shear
         found.torque = now.torque + wp.cross(now.middle, shear) + wp.vec3(0.0, 0.0, left * load[2])

@@ -159,6 +159,85 @@ def _rigid(x: wp.vec3, middle: wp.vec3, motion: int, axis: int) -> float:
 
 
 @wp.func
+def keep_loads(
+    membrane: MembraneGrid,
+    sticking: Sticking,
+    load: wp.array3d(dtype=float),
+    f: int,
+    lane: int,
+    threads: int,
+) -> None:
+    """Find the loads of the present contact that keep the displacements of its nodes.
+
+    A node joins without a load: the others displaced it before. The others take over the loads of
+    nodes that leave. `load` (F, 2, N), N, are the loads of the last contact.
+    """
+    inner = (membrane.nx - 2) * (membrane.ny - 2)
+    for a in range(lane, 2 * sticking.count[f], threads):
+        n = sticking.held[f, a // 2]
+        row = 2 * n + a % 2
+        moved = float(0.0)
+        for other in range(inner):
+            if sticking.known[f, other] == 0:
+                k = node_of(membrane, other)
+                moved += sticking.compliance[2 * other, row] * load[f, 0, k]
+                moved += sticking.compliance[2 * other + 1, row] * load[f, 1, k]
+        start_from(sticking, f, row, moved)
+    find_loads(sticking, f, lane, threads, _CLOSE)
+    for n in range(lane, inner, threads):
+        k = node_of(membrane, n)
+        for axis in range(2):
+            now = float(0.0)
+            if sticking.known[f, n] != 0:
+                now = load[f, axis, k] + sticking.loads[f, 2 * n + axis]
+            load[f, axis, k] = now
+    synchronize()
+
+
+@wp.func
+def load_of(
+    membrane: MembraneGrid,
+    fields: Fields,
+    sticking: Sticking,
+    load: wp.array3d(dtype=float),
+    f: int,
+    slot: int,
+    middle: wp.vec3,
+    lane: int,
+    threads: int,
+) -> wp.vec3:
+    """Return the force along x and y, N, and the torque about the center, N m, of a patch."""
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for a in range(lane, 2 * sticking.count[f], threads):
+        n = sticking.held[f, a // 2]
+        if sticking.known[f, n] == slot + 1:
+            k = node_of(membrane, n)
+            x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
+            for motion in range(3):
+                total[motion] += load[f, a % 2, k] * _rigid(x, middle, motion, a % 2)
+    return wp.vec3(_sum(total[0]), _sum(total[1]), _sum(total[2]))
+
+
+@wp.func
+def fade_loads(
+    membrane: MembraneGrid,
+    sticking: Sticking,
+    load: wp.array3d(dtype=float),
+    f: int,
+    slot: int,
+    left: float,
+    lane: int,
+    threads: int,
+) -> None:
+    """Scale the loads of a patch that slides to the fraction `left`."""
+    for a in range(lane, 2 * sticking.count[f], threads):
+        n = sticking.held[f, a // 2]
+        if sticking.known[f, n] == slot + 1:
+            k = node_of(membrane, n)
+            load[f, a % 2, k] = left * load[f, a % 2, k]
+
+
+@wp.func
 def grip_of(
     membrane: MembraneGrid,
     fields: Fields,
@@ -170,10 +249,17 @@ def grip_of(
     middle: wp.vec3,
     lane: int,
     threads: int,
+    unit: wp.array3d(dtype=float),
 ) -> wp.mat33:
-    """Return the stiffness of a patch: x, y, and rotation about its center. N/m, N, N m/rad."""
+    """Return the stiffness of a patch: x, y, and rotation about its center. N/m, N, N m/rad.
+
+    Store the loads of the nodes by unit motions in `unit` (F, 6 slots, N).
+    """
     found = wp.mat33()
     for motion in range(3):
+        for k in range(lane, membrane.nx * membrane.ny, threads):
+            unit[f, 6 * slot + 2 * motion, k] = 0.0
+            unit[f, 6 * slot + 2 * motion + 1, k] = 0.0
         for a in range(lane, 2 * sticking.count[f], threads):
             n = sticking.held[f, a // 2]
             k = node_of(membrane, n)
@@ -187,6 +273,7 @@ def grip_of(
         for a in range(lane, 2 * sticking.count[f], threads):
             n = sticking.held[f, a // 2]
             k = node_of(membrane, n)
+            unit[f, 6 * slot + 2 * motion + a % 2, k] = sticking.loads[f, 2 * n + a % 2]
             if patch_of(fields, slot_of, f, finger, k) == slot + 1:
                 x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
                 load = sticking.loads[f, 2 * n + a % 2]

@@ -12,7 +12,15 @@ from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.lowest_obstacle import any_thin
 from mjtactile.warp.device.obstacles import CONVEX, PLANE, Geom
 from mjtactile.warp.device.relaxation import synchronize
-from mjtactile.warp.device.sticking import Sticking, about_center, grip_of, list_held
+from mjtactile.warp.device.sticking import (
+    Sticking,
+    about_center,
+    fade_loads,
+    grip_of,
+    keep_loads,
+    list_held,
+    load_of,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -98,10 +106,16 @@ def after_solution(gas: Gas, heat: Heat, f: int, pressure: float, bulge: float) 
 
 @wp.struct
 class States:
-    """Contact memory and results of all membranes (worlds * fingers,)."""
+    """Contact memory and results of all membranes (worlds * fingers,).
+
+    `load` (F, 2, N), N, are the loads of the nodes at the last stiffness, `unit` (F, 6 slots, N)
+    those by unit motions of the patches.
+    """
 
     patches: wp.array2d(dtype=Patch)
     before: wp.array3d(dtype=float)
+    load: wp.array3d(dtype=float)
+    unit: wp.array3d(dtype=float)
     friction: wp.array(dtype=float)
     wrench: wp.array2d(dtype=float)
     area: wp.array(dtype=float)
@@ -212,6 +226,16 @@ def update_all(
     tension = mean_tension(membrane, fields.u, f, lane, threads, modulus[f])
     has_thin = any_thin(membrane, geoms, f)
     list_held(membrane, fields, sticking, sensor_geoms.slots, f, finger, lane)
+    if sticking.stale[f] != 0:
+        for k in range(lane, membrane.nx * membrane.ny, threads):
+            for axis in range(2):
+                for slot in range(states.patches.shape[1]):
+                    strain = states.patches[f, slot].strain
+                    for motion in range(3):
+                        by = states.unit[f, 6 * slot + 2 * motion + axis, k]
+                        states.load[f, axis, k] += strain[motion] * by
+        synchronize()
+        keep_loads(membrane, sticking, states.load, f, lane, threads)
     force = wp.vec3(0.0, 0.0, 0.0)
     torque = wp.vec3(0.0, 0.0, 0.0)
     largest = float(0.0)
@@ -239,6 +263,21 @@ def update_all(
             p_SB = wp.transpose(R) @ (xpos[world, body] - p)
             last = states.patches[f, slot]
             grip = about_center(last.grip, patch.middle - last.middle)
+            patch.base = last.base
+            patch.strain = last.strain
+            if sticking.stale[f] != 0:
+                patch.strain = wp.vec3(0.0, 0.0, 0.0)
+                patch.base = load_of(
+                    membrane,
+                    fields,
+                    sticking,
+                    states.load,
+                    f,
+                    slot,
+                    patch.middle,
+                    lane,
+                    threads,
+                )
             if patch.normal > MIN_FORCE and states.friction[f] > 0.0:
                 if sticking.stale[f] != 0 or last.grip[0, 0] <= 0.0:
                     grip = grip_of(
@@ -252,6 +291,7 @@ def update_all(
                         patch.middle,
                         lane,
                         threads,
+                        states.unit,
                     )
             now = stick(membrane, grip, last, patch, states.friction[f], R_SB, p_SB)
             force += now.force
@@ -260,6 +300,8 @@ def update_all(
             if now.normal > largest:
                 largest = now.normal
                 main = now
+            if now.slides != 0:
+                fade_loads(membrane, sticking, states.load, f, slot, now.left, lane, threads)
             synchronize()
             if lane == 0:
                 states.patches[f, slot] = now
@@ -299,6 +341,8 @@ def reset_worlds(
             fields.u[f, c, k] = at
             fields.kept[f, c, k] = at
             states.before[f, c, k] = 0.0
+        for c in range(2):
+            states.load[f, c, k] = 0.0
         fields.force[f, k] = 0.0
         fields.kept_force[f, k] = 0.0
         if k == 0:
