@@ -1,6 +1,7 @@
 """Marker positions of membranes: spline through the nodes, with the shear of sticking patches (X7).
 
-The rules of `QuasistaticSensor.p_SV`: the loads of the nodes in contact displace all nodes. SI units, frame S.
+The rules of `QuasistaticSensor.p_SV`: loads of the nodes in contact displace all nodes.
+SI units, frame S.
 """
 
 from __future__ import annotations

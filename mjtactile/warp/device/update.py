@@ -268,15 +268,7 @@ def update_all(
             if sticking.stale[f] != 0:
                 patch.strain = wp.vec3(0.0, 0.0, 0.0)
                 patch.base = load_of(
-                    membrane,
-                    fields,
-                    sticking,
-                    states.load,
-                    f,
-                    slot,
-                    patch.middle,
-                    lane,
-                    threads,
+                    membrane, fields, sticking, states.load, f, slot, patch.middle, lane, threads
                 )
             if patch.normal > MIN_FORCE and states.friction[f] > 0.0:
                 if sticking.stale[f] != 0 or last.grip[0, 0] <= 0.0:
