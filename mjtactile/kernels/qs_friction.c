@@ -138,13 +138,14 @@ static inline double y_of(const Membrane *f, const double *x, long k) {
 /* Return the index of x of a node among the in-plane displacements of the inner nodes; y is next. */
 static inline long inner_of(const Membrane *f, long k) { return 2 * ((k / f->rows - 1) * f->inner_rows + k % f->rows - 1); }
 
-/* Compute the displacement of an inner node along `axis` by the loads on nodes in contact. */
-static double displacement_of(const Membrane *f, const double *compliance, const Held *h, long k, int axis) {
+/* Compute the displacement of an inner node along `axis` by the loads of the nodes `left` that left the
+   contact. */
+static double displacement_of(const Membrane *f, const double *compliance, const Held *h, long k, int axis, long lost, const long *left) {
     const double *row = compliance + (inner_of(f, k) + axis) * 2 * f->inner;
     double sum = 0;
-    for (long n = 0; n < f->count; n++) {
-        const double along_x = h->load[n], along_y = h->load[f->count + n];
-        if (along_x != 0 || along_y != 0) sum += row[inner_of(f, n)] * along_x + row[inner_of(f, n) + 1] * along_y;
+    for (long i = 0; i < lost; i++) {
+        const long n = left[i];
+        sum += row[inner_of(f, n)] * h->load[n] + row[inner_of(f, n) + 1] * h->load[f->count + n];
     }
     return sum;
 }
@@ -191,11 +192,11 @@ static inline double rigid(int c, int axis, const double off[2]) { return c < 2 
 
 /* Compute the stiffness `grip` (3 slots, 3 slots) of the contact nodes against x, y and rotation of
    the patches about their centers, and their loads. The nodes of a patch move as one rigid set. A
-   node joins the contact without a load: the others were displaced before. Nodes that stay keep their
-   displacements when others leave. Returns 1 if memory runs out. */
+   node joins the contact without a load: the others were displaced before. The others take over the
+   loads of nodes that leave. Returns 1 if memory runs out. */
 static int find_grip(const Membrane *f, const double *x, const double *compliance, long slots, double *grip, Held *h, Memory *m,
                      Patch *patches) {
-    long count = 0, wide = 0, *node = malloc((f->inner + slots) * sizeof *node), *column = node + f->inner;
+    long count = 0, lost = 0, wide = 0, *node = malloc((2 * f->inner + slots) * sizeof *node), *left = node + f->inner, *column = left + f->inner;
     if (!node) return 1;
     collect_loads(f, slots, h, patches);
     for (long s = 0; s < slots; s++) {
@@ -206,6 +207,7 @@ static int find_grip(const Membrane *f, const double *x, const double *complianc
         for (long j = 1; j < f->rows - 1; j++) {
             const long k = i * f->rows + j;
             if (h->patch[k]) node[count++] = k, patches[h->patch[k] - 1].gripped += 1;
+            else if (h->load[k] != 0 || h->load[f->count + k] != 0) left[lost++] = k;
         }
     const long n = 2 * count, all = 2 * f->inner, loads = 3 * wide, last = loads;
     double *A = malloc((n * n + (loads + 1) * n) * sizeof *A), *b = A + n * n;
@@ -217,17 +219,18 @@ static int find_grip(const Membrane *f, const double *x, const double *complianc
         const Patch *own = patches + h->patch[ka] - 1;
         const double off[2] = {x_of(f, x, ka) - own->middle[0], y_of(f, x, ka) - own->middle[1]};
         for (int c = 0; c < 3; c++) b[(loads + 1) * a + column[h->patch[ka] - 1] + c] = rigid(c, a % 2, off);
-        b[(loads + 1) * a + last] = displacement_of(f, compliance, h, ka, a % 2);
+        b[(loads + 1) * a + last] = displacement_of(f, compliance, h, ka, a % 2, lost, left);
     }
     factorize(n, A), solve_factorized(n, A, loads + 1, b);
     memset(grip, 0, 9 * slots * slots * sizeof *grip);
-    memset(h->load, 0, 2 * f->count * sizeof *h->load), memset(h->unit, 0, 6 * slots * f->count * sizeof *h->unit);
+    memset(h->unit, 0, 6 * slots * f->count * sizeof *h->unit);
+    for (long i = 0; i < lost; i++) h->load[left[i]] = h->load[f->count + left[i]] = 0;
     for (long a = 0; a < n; a++) {
         const long k = node[a / 2], own = h->patch[k] - 1;
         const double off[2] = {x_of(f, x, k) - patches[own].middle[0], y_of(f, x, k) - patches[own].middle[1]};
         const double *row = b + (loads + 1) * a;
-        h->load[a % 2 * f->count + k] = row[last];
-        for (int c = 0; c < 3; c++) patches[own].base[c] += rigid(c, a % 2, off) * row[last];
+        const double load = h->load[a % 2 * f->count + k] += row[last];
+        for (int c = 0; c < 3; c++) patches[own].base[c] += rigid(c, a % 2, off) * load;
         for (long t = 0; t < slots; t++)
             for (int d = 0; d < 3 && column[t] >= 0; d++) {
                 const double by = row[column[t] + d];
