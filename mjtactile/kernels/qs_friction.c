@@ -484,8 +484,8 @@ static double stick(const Membrane *f, const Given *g, long slots, const double 
         p->left = p->slides ? limit / carried : 1;
         for (int i = 0; i < 3; i++) p->shear[i] = load[i] * p->left;
         if (!p->slides) continue;
-        for (int i = 0; i < 3; i++) beyond[i] = (1 - p->left) * load[i], slides[i] = (1 - p->left) * p->strain[i];
-        if (count > 1) solve_patch(grip + 9 * s * slots + 3 * s, 3 * slots, beyond, slides);
+        for (int i = 0; i < 3; i++) beyond[i] = (1 - p->left) * load[i];
+        solve_patch(grip + 9 * s * slots + 3 * s, 3 * slots, beyond, slides);
         for (int i = 0; i < 3; i++) p->strain[i] = count > 1 ? p->strain[i] - slides[i] : p->strain[i] * p->left;
         for (int i = 0; i < 3 && count == 1; i++) p->base[i] *= p->left;
         for (long k = 0; k < 2 * f->count && count == 1; k++) h->load[k] *= p->left;

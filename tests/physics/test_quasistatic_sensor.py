@@ -64,6 +64,25 @@ def test_shear_sticks_and_then_slides_at_coulombs_limit():
     assert force[2][0] == pytest.approx(-DENSE.membrane.friction * force[2][2], rel=0.04)
 
 
+def test_a_contact_that_grows_keeps_its_shear():
+    """Nodes join without a load: they were displaced with the membrane before."""
+    world = pressed(QUASISTATIC, 0.6e-3, shear=1e-4)
+    before = ground_truth.contact_force(world, 0)
+    assert world.press(1.8e-3, 1e-4)
+    after = ground_truth.contact_force(world, 0)
+    assert after[2] < 3 * before[2]  # the contact is stiffer by 17 %
+    # ball and membrane are symmetric, except for the shear of 0.1 mm
+    assert after[0] == pytest.approx(before[0], rel=0.03)
+
+
+def test_sliding_distance_is_that_of_the_ball():
+    world = pressed(QUASISTATIC, 1.5e-3, shear=2e-3)
+    before = world.sensors[0].slid
+    assert world.press(1.5e-3, 4e-3)
+    # the membrane slopes: the contact center moves by a few percent less than the ball
+    assert world.sensors[0].slid - before == pytest.approx(2e-3, rel=0.06)
+
+
 def ball_of(radius, mass):
     def add(body):
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], mass=mass)

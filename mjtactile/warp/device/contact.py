@@ -18,6 +18,7 @@ wp.set_module_options({"enable_backward": False})
 
 MIN_FORCE = wp.constant(1.0e-4)
 """Force below which nothing sticks, N."""
+_FLEXIBLE = wp.constant(1.0e-10)  # torsional over shear stiffness of one node, m^2
 _TILT = wp.constant(0.25)  # tilt stiffness over stiffness times radius^2
 
 
@@ -159,6 +160,19 @@ def remember_nodes(
 
 
 @wp.func
+def _shift_of(grip: wp.mat33, load: wp.vec3) -> float:
+    """Return the distance, m, by which `load` shifts a patch of stiffness `grip`."""
+    K = grip
+    if K[2, 2] <= _FLEXIBLE * K[0, 0]:  # one node, which does not turn
+        for i in range(2):
+            K[i, 2] = 0.0
+            K[2, i] = 0.0
+        K[2, 2] = 1.0
+    shift = wp.inverse(K) @ load
+    return wp.length(wp.vec2(shift[0], shift[1]))
+
+
+@wp.func
 def stick(
     membrane: MembraneGrid,
     grip: wp.mat33,
@@ -201,10 +215,11 @@ def stick(
         carried = wp.length(wp.vec3(load[0], load[1], load[2] / arm))
         limit = friction * now.normal
         left = float(1.0)
+        found.slid = slid
         if carried > limit:
             left = limit / carried
             found.slides = 1
-        found.slid = slid + (1.0 - left) * wp.length(wp.vec2(strain[0], strain[1]))
+            found.slid = slid + (1.0 - left) * _shift_of(grip, load)
         found.strain = left * strain
         found.base = left * found.base
         found.left = left
