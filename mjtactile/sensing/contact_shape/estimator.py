@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -103,7 +103,7 @@ class ContactShapeEstimator:
         data = Data.of(touch, raised, self.forward.by_gas, s, drift)
         track = () if press is None else press.track
         before = None if press is None else press.reported
-        suggest = None if self.start is None else self._suggest
+        suggest = None if self.start is None else cache(self._suggest)
         press = follow(self.forward, press, self._hint(touch), data, s, suggest)
         if press is None:
             text = "no shape model fits"

@@ -62,6 +62,7 @@ def follow(
     # the tracked fit may be stuck
     if new is None or _is_worse(new, press, s):
         fraction = s.log_again if press.adds_evidence(data.force) or new is not None else 0.0
+        press = press if new is None else replace(press, now=new.now)
         new = _evaluate_candidates(forward, press, hint, data, s, fraction, suggest, grown)
     if new is None:
         return _search_all(forward, hint, data, s, None, suggest)
