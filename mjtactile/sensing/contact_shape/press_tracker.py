@@ -96,20 +96,24 @@ def _search_all(
 ) -> PressHistory | None:
     """Fit all models without a prior. The suggested ones are enough if one explains the markers.
 
-    With a `rejected` shape, the fits start from its membrane solution. Then models far behind are
-    skipped. Fits that explain no more than the rejected one are stopped.
+    With a `rejected` shape, the fits start from its membrane solution, and its candidates are not
+    fitted again. Models far behind are skipped. Fits that explain no more than the rejected one are
+    stopped.
     """
+    minimum = math.inf
     if rejected is None:
         fits = [] if suggest is None else _suggested_fits(forward, suggest(data), hint, data, s)
         fits = fits or search(forward, _SINGLE, hint, data, s.noise_min)
     else:
         now = rejected.now
-        near = rejected.near(_SINGLE)
+        minimum = now.misfit
+        fitted = {candidate.family.name for candidate in rejected.candidates}
+        near = [family for family in rejected.near(_SINGLE) if family.name not in fitted]
         if suggest is not None:
             likely = suggest(data).likely(dict.fromkeys(FAMILIES, 0.0))
             near = [family for family in near if family.name in likely]
         fits = search(forward, near, hint, data, s.noise_min, now.state, now.chi2)
-    minimum = min((fit.misfit for fit in fits), default=math.inf)
+    minimum = min([minimum, *(fit.misfit for fit in fits)])
     if len(hint.parts) > 1 and minimum > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
         both = search(forward, (balls,), hint, data, s.noise_min)
