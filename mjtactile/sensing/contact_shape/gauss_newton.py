@@ -65,7 +65,7 @@ class Fit:
     gradient: Array
     slopes: Jacobian
     force: float
-    _covs: dict[float, Array] = field(default_factory=dict, repr=False)
+    _covs: dict[float, tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, problem: Problem, at: FitState, slopes: Jacobian) -> Fit:
@@ -104,17 +104,20 @@ class Fit:
 
     def cov_with(self, noise: float) -> Array:
         """Return the covariance (k, k) of the parameters."""
-        return self._scaled_cov(noise) * np.outer(self.family.sd, self.family.sd)
+        return self._covs_with(noise)[1]
 
-    def _scaled_cov(self, noise: float) -> Array:
-        """Return the covariance (k, k) of the scaled parameters. It is needed several times."""
+    def _covs_with(self, noise: float) -> tuple[Array, Array]:
+        """Return the covariances (k, k) of the scaled parameters and of the parameters. They are
+        needed several times."""
         if noise not in self._covs:
-            self._covs[noise] = np.linalg.inv(self.precision_with(noise))
+            sd = self.family.sd
+            scaled = np.linalg.inv(self.precision_with(noise))
+            self._covs[noise] = (scaled, sd[:, None] * scaled * sd)
         return self._covs[noise]
 
     def sums_cov_with(self, noise: float) -> Array:
         """Return the covariance (8, 8) of the membrane sums due to the parameters alone."""
-        return self.slopes.sums @ self._scaled_cov(noise) @ self.slopes.sums.T
+        return self.slopes.sums @ self._covs_with(noise)[0] @ self.slopes.sums.T
 
     def log_evidence_with(self, noise: float) -> float:
         """Return the log evidence of the model for this image (Laplace approximation). The marker
@@ -146,7 +149,8 @@ def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, dampin
     linearly."""
     gradient = J.T @ at.residual + prior.precision @ (at.theta / family.sd - prior.mean)
     normal = J.T @ J
-    H = normal + prior.precision + damping * np.diag(np.diag(normal) + 1e-3)
+    H = normal + prior.precision
+    H.flat[:: len(H) + 1] += damping * (normal.diagonal() + 1e-3)
     step = -np.linalg.solve(H, gradient)
     maximum = _straight(family, at.theta) / family.sd
     far = np.abs(step) > maximum
@@ -186,8 +190,7 @@ def _limits(family: ShapeModel) -> tuple[Array, NDArray[np.bool_], NDArray[np.bo
     """Return the fixed step limits (k,), and masks (k,) of the curvatures and the sizes."""
     kinds = [name.split("_")[0] for name in family.names]
     fixed = np.array([_STRAIGHT.get(kind, 0.0) for kind in kinds])
-    curved = np.array([kind == "k" for kind in kinds])
-    return fixed, curved, np.array([kind in ("half", "radius") for kind in kinds])
+    return fixed, family.curved, np.array([kind in ("half", "radius") for kind in kinds])
 
 
 @dataclass(frozen=True)

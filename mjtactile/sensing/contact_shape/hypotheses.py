@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -121,7 +122,7 @@ class PressHistory:
     dropped: tuple[Candidate, ...] = ()
     reported: ReportedKind | None = None
 
-    @property
+    @cached_property
     def probabilities(self) -> Array:
         """(n,) of the candidates."""
         logs = np.array([candidate.log for candidate in self.candidates])
@@ -130,10 +131,15 @@ class PressHistory:
 
     def kinds(self, names: tuple[str, ...]) -> dict[str, float]:
         """Return the probabilities of the kinds `names`."""
-        sums = dict.fromkeys(names, 0.0)
+        return dict.fromkeys(names, 0.0) | self._kinds
+
+    @cached_property
+    def _kinds(self) -> dict[str, float]:
+        """Probabilities of the kinds that the candidates may be."""
+        sums: dict[str, float] = {}
         for probability, fit in self.bodies():
             for kind, fraction in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
-                sums[kind] += probability * fraction
+                sums[kind] = sums.get(kind, 0.0) + probability * fraction
         return sums
 
     def adds_evidence(self, force: float) -> bool:

@@ -19,6 +19,8 @@ _PAD = 12  # grid steps around the frame, where the height is zero
 _BORDER = 96  # points on the frame, where the height is zero
 _UNIT = 1e-2  # m
 _COMPONENTS = 32  # principal components that complete missing markers, at most
+_LINE = _SPACING / _STEP * (np.arange(_SIDE) - (_SIDE - 1) / 2)
+_NODES = np.stack(np.meshgrid(_LINE, _LINE, indexing="ij"), axis=-1).reshape(-1, 2)  # grid steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +96,10 @@ class PressView:
         positive = np.maximum(sums[:, :1], 1e-2)
         center = np.clip(sums[:, 1:] / positive, -limit, limit)
         field = (1e3 * heights).astype(np.float32) @ self.spread.T
-        field = np.pad(field.reshape(-1, *self.shape), ((0, 0), (_PAD, _PAD), (_PAD, _PAD)))
-        view = _sampled(field, (1e-3 * center - self.corner) / _STEP + _PAD)
+        sides = [count + 2 * _PAD for count in self.shape]
+        padded = np.zeros((len(field), *sides), np.float32)
+        padded[:, _PAD:-_PAD, _PAD:-_PAD] = field.reshape(-1, *self.shape)
+        view = _sampled(padded, (1e-3 * center - self.corner) / _STEP + _PAD)
         length = np.sqrt((view**2).sum(axis=1, keepdims=True)) + 1e-4
         position = 0.1 * center
         level = np.log(np.hstack([length, positive]))
@@ -105,16 +109,19 @@ class PressView:
 
 def _sampled(field: Array, center: Array) -> Array:
     """Return the values (n, _SIDE**2) of fields (n, a, b) around `center` (n, 2), grid steps."""
-    offsets = _SPACING / _STEP * (np.arange(_SIDE) - (_SIDE - 1) / 2)
-    steps = np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1).reshape(-1, 2)
-    at = np.clip(center[:, None] + steps, 0, np.array(field.shape[1:]) - 1.001)
+    at = np.clip(center[:, None] + _NODES, 0, np.array(field.shape[1:]) - 1.001)
     low = at.astype(int)
     weight = (at - low).astype(np.float32)
-    n = np.arange(len(field))[:, None]
-    a, b = low[..., 0], low[..., 1]
+    columns = field.shape[2]
+    first = columns * low[..., 0] + low[..., 1]
     u, v = weight[..., 0], weight[..., 1]
-    back = field[n, a, b] * (1 - v) + field[n, a, b + 1] * v
-    front = field[n, a + 1, b] * (1 - v) + field[n, a + 1, b + 1] * v
+    flat = field.reshape(len(field), -1)
+
+    def after(step: int) -> Array:
+        return np.take_along_axis(flat, first + step, axis=1)
+
+    back = after(0) * (1 - v) + after(1) * v
+    front = after(columns) * (1 - v) + after(columns + 1) * v
     return back * (1 - u) + front * u
 
 

@@ -128,13 +128,12 @@ def _model_error_variance(fit: Fit, coarse: float) -> Array:
     covers errors that differ between evaluations. It grows as fewer nodes touch, and with the mesh
     ratio `coarse`: an error of the position of a rim with the spacing, one of the sag between
     vertices with its square."""
-    bent = np.array([name.startswith("k") for name in fit.family.names])
-    by_node = _BY_NODE * np.where(bent, coarse**2, coarse)
+    by_node = _BY_NODE * np.where(fit.family.curved, coarse**2, coarse)
     fraction = np.hypot(fit.family.share, by_node / touching(fit))
     return np.diag((fraction * fit.theta / fit.family.sd)[fit.family.kept] ** 2)
 
 
 def touching(fit: Fit) -> float:
     """Return the number of membrane nodes that touch the shape; for several parts, their mean."""
-    nodes = int((fit.state.contact_forces > 0).sum())
+    nodes = np.count_nonzero(fit.state.contact_forces > 0)
     return max(nodes / max(len(fit.family.parts), 1), 1.0)

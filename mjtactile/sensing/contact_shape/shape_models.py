@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
@@ -96,15 +98,20 @@ class ShapeModel:
         rows, pool = self.rows(theta[None], hint)
         return unchecked_obstacles(rows[0], pool)
 
-    @property
+    @cached_property
     def heights(self) -> list[int]:
         """Indices of the height parameters."""
         return [index for index, name in enumerate(self.names) if name == "z"]
 
-    @property
+    @cached_property
     def kept(self) -> Array:
         """Mask (k,) of the parameters that stay constant: curvatures and sizes."""
         return self.share > 0
+
+    @cached_property
+    def curved(self) -> NDArray[np.bool_]:
+        """Mask (k,) of the curvatures."""
+        return np.array([name.startswith("k") for name in self.names])
 
     def index(self, *names: str) -> int | None:
         """Return the index of the first parameter with one of these names; None: there is none."""
@@ -114,7 +121,7 @@ class ShapeModel:
         """Split `parameters` (k, ...) into those of each part."""
         return np.split(parameters, self._part_ends)
 
-    @property
+    @cached_property
     def _part_ends(self) -> Array:
         return np.cumsum([len(part.names) for part in self.parts])[:-1]
 
