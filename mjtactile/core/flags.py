@@ -186,6 +186,14 @@ _KINDS = (
         bypasses=True,
     ),
     FlagKind(
+        "uncertain",
+        "the sd of a force exceeds a quarter of it for 0.2 s; light touches do not count",
+        "a load that the markers show in part",
+        "a pressure sensor, fiducials",
+        Cadence.CYCLE,
+        grows=True,
+    ),
+    FlagKind(
         "strain",
         "a soft object is compressed by more than 20 %, where rubber is stiffer than its elements",
         "a large squeeze",

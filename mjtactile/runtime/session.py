@@ -34,6 +34,7 @@ from mjtactile.runtime.references import ReferenceImages, inflate, take_referenc
 from mjtactile.runtime.slowness_monitor import SlownessMonitor
 from mjtactile.runtime.stepwise_control import StepwiseControl
 from mjtactile.runtime.supervisor import Supervisor
+from mjtactile.runtime.uncertain_force_monitor import UncertainForceMonitor
 from mjtactile.runtime.unsensed_force_monitor import UnsensedForceMonitor
 from mjtactile.sensing.contact_shape.start_files import ensure_start
 from mjtactile.sensing.settings import DEFAULTS, Settings
@@ -79,6 +80,7 @@ class Session:
         self._supervisor = Supervisor(rig.period)
         names = tuple(finger.name for finger in rig.fingers)
         self._push = UnsensedForceMonitor(names, rig.period)
+        self._uncertain = UncertainForceMonitor(names)
         if perceptions is None and rig.touch_is_synthetic:
             perceptions = [SyntheticPerception() for _ in rig.fingers]
         elif perceptions is None:
@@ -102,10 +104,10 @@ class Session:
     def flags(self) -> Flags:
         """Reasons for reduced accuracy so far, by kind of model error.
 
-        On a real rig the only kind is "unsensed_force". The servo forces then exceed the forces
-        estimated on the fingers.
+        On a real rig the kinds are "uncertain", and "unsensed_force": the servo forces exceed the
+        forces estimated on the fingers.
         """
-        return merge_flags((self.rig.flags(), self._push.flags))
+        return merge_flags((self.rig.flags(), self._push.flags, self._uncertain.flags))
 
     def take_references(self, observer: Observer | None = None) -> None:
         """Take the references of every sensor.
@@ -210,7 +212,7 @@ class Session:
         notes = FlagObserver(lambda: self.flags, Observers(watching))
         # simulation provides the forces outside the sensors, so only a real rig is monitored
         is_real = math.isfinite(self.rig.host_timeout)
-        watched: list[Observer] = [notes, self._push] if is_real else [notes]
+        watched: list[Observer] = [notes, self._uncertain, *([self._push] if is_real else [])]
         if self.rig.workload is not None:
             notify = Observers(watching).message
             shapes = self._shapes or reads

@@ -1,0 +1,77 @@
+"""Tests of the flag for forces with a wide interval. Light touches, taps and unknown forces do not
+raise it, and no controller reacts to it."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import mjtactile
+from mjtactile.core.flags import FLAGS
+from mjtactile.runtime import uncertain_force_monitor
+from mjtactile.runtime.uncertain_force_monitor import KIND, UncertainForceMonitor
+
+PERIOD = 1 / 30
+
+
+def held(watch, force, sd, seconds=1.0):
+    """Return the flags after `seconds` with this force and standard deviation on the left."""
+    for _ in range(round(seconds / PERIOD)):
+        watch.time += PERIOD
+        touching = bool(force > 0.02)
+        left = SimpleNamespace(force_normal=force, force_normal_sd=sd, touching=touching)
+        right = SimpleNamespace(force_normal=0.5, force_normal_sd=0.02, touching=True)
+        watch.add(SimpleNamespace(time=watch.time, touch=(left, right)))
+    return watch.flags
+
+
+@pytest.fixture
+def watch():
+    monitor = UncertainForceMonitor(("left", "right"))
+    monitor.time = 0.0
+    held(monitor, 0.0, 0.03)  # the least detectable force of the left sensor
+    return monitor
+
+
+@pytest.mark.parametrize(
+    ("force", "sd", "seconds"),
+    [
+        (1.0, 0.24, 1.0),  # below a quarter
+        (0.14, 0.10, 1.0),  # 4.7 times the least detectable force: a light touch
+        (1.0, 0.4, 0.1),  # a tap
+        (math.nan, math.nan, 1.0),
+    ],
+)
+def test_usual_forces_raise_no_flag(watch, force, sd, seconds):
+    assert not held(watch, force, sd, seconds)
+
+
+def test_a_wide_interval_is_flagged_with_its_values(watch):
+    flags = held(watch, 1.0, 0.26)
+    assert set(flags) == {KIND}
+    assert KIND in FLAGS
+    assert "left measures 1 N with a standard deviation of 0.26 N, 26 %" in flags[KIND]
+    # 1 s of touch after 1 s without; the flag is raised after 0.2 s, and the next cycle clears it
+    assert held(watch, 0.5, 0.01)[KIND].first == pytest.approx(2.2 - 1.0 + PERIOD, abs=0.07)
+    assert watch.flags[KIND].last == pytest.approx(2.0, abs=0.07)
+
+
+# a threshold of 0 flags each touch: the commands stay the same, bit for bit
+def test_the_flag_changes_no_command(monkeypatch):
+    commands = []
+    for fraction in (math.inf, 0.0):
+        monkeypatch.setattr(uncertain_force_monitor, "_SD_FRACTION", fraction)
+        sent = []
+        with mjtactile.open_session(mjtactile.Scenario(effects="-mesh,-pipeline")) as session:
+            session.take_references()
+            controller = mjtactile.load_controller("adaptive")
+            session.run(
+                controller,
+                time_limit=60.0,
+                on_cycle=lambda cycle, sent=sent: sent.append(cycle.sent),
+            )
+            assert (KIND in session.flags) == (fraction == 0)
+        commands.append([[c.opening, c.lift_height, c.force_limit or 0.0] for c in sent])
+    assert len(commands[0]) > 30
+    np.testing.assert_array_equal(*commands)
