@@ -56,6 +56,9 @@ class MembraneEstimator:
         known = without(markers, state.set_aside)
         found = self._with_gas(state, image, known)
         is_seen = state.camera is not None
+        assumed = None
+        if not is_seen and state.camera_drift is None:
+            found, assumed = self._static_retry(state, image, found)
         fit = partial(self._with_gas, image=image, markers=known)
         face = self._faces.estimate(state, image, found, fit)
         if face is not None and (face.on_frame or self.fits_markers(face.shape)):
@@ -65,15 +68,15 @@ class MembraneEstimator:
         if state.camera_drift is not None and has_changed(found.shape, self._settings.inverse):
             state = replace(state, camera_drift=None)
             found = self._with_gas(state, image, known)
-        if state.shape is None and not is_seen and state.camera_drift is None:
-            found = self._static_retry(state, image, found)
-        elif state.shape is not None:
+        if state.shape is not None:
             found = self._missed_touch_retry(state, state.shape, image, found)
         # a camera observed by fiducials is not displaced; gas without a pressure sensor may be lost
         sure = state.displaced >= DISPLACED_IMAGES or (is_seen and found.state.gas is not None)
         if not sure:
-            found = self._retry_displaced(state, image, found)
-        found = self._faces.with_alternative(state, found, partial(fit, markers=found.markers))
+            found = self._retry_displaced(state, image, found, loaded=assumed is not None)
+        found = self._faces.with_alternative(
+            state, found, partial(fit, markers=found.markers, camera=assumed)
+        )
         allowed = max(1, round(_SET_ASIDE_FRACTION * self._design.markers.count))
         if self.fits_markers(found.shape) or len(state.set_aside) >= allowed:
             return found
@@ -100,20 +103,22 @@ class MembraneEstimator:
         sharp = float(shape.excess[0].mean()) > maximum and not drifted
         return not sharp and shape.misfit < s.inverse.misfit_max
 
-    def _static_retry(self, state: PipelineState, image: ImageContext, found: Estimate) -> Estimate:
-        """Return the estimate without a history, for a camera without drift if that also fits. A
-        large load and a camera drift may explain one image equally well. Without earlier images,
-        the camera is assumed unchanged."""
+    def _static_retry(
+        self, state: PipelineState, image: ImageContext, found: Estimate
+    ) -> tuple[Estimate, CameraDriftFilter | None]:
+        """Return the estimate for a camera without drift, and that camera, if that also fits. A
+        large load and a camera drift may explain one image equally well. Until an image without
+        load shows the camera, it is assumed unchanged: a drift is slow, a load is not."""
         load = float(np.linalg.norm(self._inverse.force(found.shape)))
         if load < self._settings.inverse.cold_load:
-            return found
+            return found, None
         steady = CameraDriftFilter.unseen(self._settings.inverse, steady=True)
         again = self._with_gas(state, image, found.markers, camera=steady)
         if not self.fits_markers(again.shape):
-            return found
+            return found, None
         # this fit carries no information on the camera
         again = replace(again, state=replace(again.state, camera_drift=None))
-        return replace(again, other=found.shape)
+        return replace(again, other=found.shape), steady
 
     def _missed_touch_retry(
         self, state: PipelineState, before: Shape, image: ImageContext, found: Estimate
@@ -137,14 +142,18 @@ class MembraneEstimator:
         return replace(again, state=replace(again.state, shape=before)) if fits else found
 
     def _retry_displaced(
-        self, state: PipelineState, image: ImageContext, found: Estimate
+        self, state: PipelineState, image: ImageContext, found: Estimate, *, loaded: bool
     ) -> Estimate:
-        """Return the estimate for a displaced camera if that explains the markers, else `found`."""
+        """Return the estimate for a displaced camera if that explains the markers, else `found`. It
+        must also explain the load of a `loaded` sensor that was never observed without load."""
         shape = found.shape
         if shape.drift > self._settings.inverse.displaced_min:
             sure = replace(state, displaced=DISPLACED_IMAGES, camera_drift=None)
             again = self._with_gas(sure, image, found.markers)
             better = again.shape.drift < shape.drift and again.shape.misfit < shape.misfit
+            if loaded:
+                load = float(np.linalg.norm(self._inverse.force(again.shape)))
+                better = better and load < self._settings.inverse.cold_load
             if better and self.fits_markers(again.shape):
                 return replace(again, state=replace(again.state, displaced=state.displaced + 1))
         return replace(found, state=replace(found.state, displaced=0))

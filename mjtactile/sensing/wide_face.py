@@ -91,17 +91,24 @@ class WideFaceTest:
     ) -> Estimate:
         """Add the estimate for wider tractions to `found` as an alternative. This applies to
         contacts that reach the outermost markers, or are as large. The load beyond these markers
-        depends on the prior."""
+        depends on the prior. Of two alternatives the one with the larger difference remains."""
+        if found.other is not None and found.other_weight < 1:
+            return found  # a face and a compact contact
         shape = found.shape
         flat = np.linalg.norm(self._inverse.force(shape)) / max(shape.gauge_pressure, 1.0)
         is_large = flat > self._settings.face_area * self._inverse.design.frame.area
         reaches = self._inverse.planes.loads_outermost(
             found.markers, shape.traction, shape.gauge_pressure
         )
-        if found.other is not None or not (is_large or reaches):
+        if not (is_large or reaches):
             return found
-        wide = fit(replace(state, shape=None), correlation=self._settings.face_correlation)
-        return replace(found, other=wide.shape)
+        wide = fit(replace(state, shape=None), correlation=self._settings.face_correlation).shape
+        others = [wide] if found.other is None else [wide, found.other]
+        force = self._inverse.force(shape)
+        farthest = max(
+            others, key=lambda other: float(np.linalg.norm(self._inverse.force(other) - force))
+        )
+        return replace(found, other=farthest)
 
     def _start(self, state: PipelineState, found: Estimate) -> PlaneContact | None:
         """Return the plane from which the fit starts; None: the markers show no wide face."""
