@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import DeviceError
@@ -22,6 +23,8 @@ from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.pose import marker_matching
 from mjtactile.sensing.pose.circles import estimate_poses
 from mjtactile.sensing.settings import Settings
+
+_NEIGHBORS = 3  # nearest markers of an unseen part of the membrane
 
 
 class MarkerDetector:
@@ -45,6 +48,7 @@ class MarkerDetector:
             1.5, 0.33 * camera.fx * design.markers.radius / design.camera.distance
         )
         self._largest_px = _largest_px(design, camera)
+        self._nearest = _nearest(design.markers.p_SM)
 
     def detect_markers(self, state: PipelineState, image: Image) -> tuple[Markers, PipelineState]:
         """Detect the markers of one image, in S, and update the state for the next one. See
@@ -98,10 +102,15 @@ class MarkerDetector:
         """Check that enough markers were detected to determine the shape; see
         `SensingPipeline.check_markers`."""
         count = len(markers)
-        if self._are_enough(count):
-            return OK
         text = f"only {count} of {self.design.markers.count} markers detected"
-        return Status(StatusCode.TOO_FEW_MARKERS, text)
+        if not self._are_enough(count):
+            return Status(StatusCode.TOO_FEW_MARKERS, text)
+        missing = np.ones(self.design.markers.count, bool)
+        missing[markers.ids] = False
+        if missing[self._nearest].all(axis=1).any():
+            text += ": a part of the image is black, white, covered or torn"
+            return Status(StatusCode.TOO_FEW_MARKERS, text)
+        return OK
 
     def locate(self, state: PipelineState, image: Image, expected: Array, purpose: str) -> Markers:
         """Find the markers of one image near the `expected` positions (N, 3), m, for the reference
@@ -134,6 +143,13 @@ class MarkerDetector:
                 f"{self.design.markers.count} markers found; check lighting, focus and "
                 "the sensor file"
             )
+
+
+def _nearest(p_SM: Array) -> NDArray[np.intp]:
+    """Return the indices (N, k) of each marker at `p_SM` (N, 3), m, and of its nearest ones. No
+    contact hides all of them, and a contact among them would remain unnoticed."""
+    away = np.linalg.norm(p_SM[:, None] - p_SM, axis=2)
+    return np.argsort(away, axis=1)[:, : _NEIGHBORS + 1]
 
 
 def _largest_px(design: SensorDesign, camera: Camera) -> float:

@@ -64,7 +64,7 @@ class Settings:
     """Parameters of all stages."""
 
     min_detected: float = number(
-        0.4, "fraction of detected markers below which the shape is unreliable", high=1.0
+        0.6, "fraction of detected markers below which the shape is unreliable", high=1.0
     )
     markers: MarkerSettings = field(default_factory=MarkerSettings)
     candidates: CandidateSettings = field(default_factory=CandidateSettings)

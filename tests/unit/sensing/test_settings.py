@@ -60,7 +60,7 @@ def test_a_number_that_was_tried_has_its_row_on_the_page():
 
 def test_overriding_leaves_the_defaults_and_all_others_alone():
     other = DEFAULTS.override(
-        {"zero.touch_min": 0.5, "inverse.spans": (12, 8), "min_detected": 0.6}
+        {"zero.touch_min": 0.5, "inverse.spans": (12, 8), "min_detected": 0.7}
     )
     changed = {key for key, value in other.to_dict().items() if DEFAULTS.to_dict()[key] != value}
     assert (
