@@ -205,6 +205,8 @@ def _fail(error: BaseException, argv: Sequence[str]) -> int:
         text = f"{error.filename or 'the output'}: cannot be written: {error.strerror}"
     else:
         text = f"internal error: {type(error).__name__}: {text} (--debug shows where)"
+    # a file name may have bytes that no encoding has
+    text = text.encode("utf-8", "backslashreplace").decode()
     with contextlib.suppress(OSError):  # stderr or stdout is closed
         if "--debug" in argv:
             traceback.print_exception(error)

@@ -172,6 +172,8 @@ def path(text: str) -> Path:
     """Read a path; an empty one, such as that of an unset shell variable, is the working folder."""
     if not text:
         raise argparse.ArgumentTypeError("is empty, not a path")
+    if "\0" in text:
+        raise argparse.ArgumentTypeError(f"{text!r} contains a null character")
     return Path(text)
 
 

@@ -108,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     template = options.template or kind.template
     random = _random(template) if options.kind == "object" else None
     source = Path(template) if random else _shipped(kind, template)
-    if not options.name.name:
+    if options.name.name in ("", ".."):
         raise InputError("is a folder, not the name of a new file", source=options.name)
     if options.name.suffix == kind.suffix:
         path = options.name

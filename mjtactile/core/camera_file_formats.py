@@ -110,9 +110,9 @@ def _yaml_table(text: str, source: str) -> dict[str, Any]:
             return node
 
     Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", Loader.construct_yaml_map)
-    # OpenCV writes a directive that YAML does not have
-    loader = Loader(re.sub(r"\A%YAML:.*\n", "", text))
     try:
+        # OpenCV writes a directive that YAML does not have
+        loader = Loader(re.sub(r"\A%YAML:.*\n", "", text))
         table = loader.get_data() if loader.check_data() else None
     except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as error:
         message = " ".join(str(error).split())

@@ -65,7 +65,7 @@ def _is_sound_png(data: bytes) -> bool:
         if data[end - 4 : end] != struct.pack(">I", zlib.crc32(data[start + 4 : end - 4])):
             return False
         if kind == b"IHDR" and (
-            size != 13 or math.prod(struct.unpack_from(">2I", data, start + 8)) > LARGEST
+            size != 13 or not 0 < math.prod(struct.unpack_from(">2I", data, start + 8)) <= LARGEST
         ):
             return False
         if kind == b"IEND":

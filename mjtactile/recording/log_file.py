@@ -42,12 +42,23 @@ def read_rows(log: Path) -> tuple[list[dict[str, Any]], list[str]]:
                 continue
             row = current_row(row)
             is_cycle = row.get("kind") == "cycle"
-            if wrong := wrong_column(row, first or row) if is_cycle else wrong_note(row):
+            wrong = wrong_column(row, first or row) if is_cycle else wrong_note(row)
+            if wrong := wrong or _out_of_order(row, rows):
                 damaged.append(f"line {number} is corrupt: {wrong}")
                 continue
             first = first or (row if is_cycle else {})
             rows.append(row)
     return rows, left_out("lines", damaged)
+
+
+def _out_of_order(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the reason if the line cannot follow the earlier ones; empty if it can."""
+    if row.get("kind") == "start" and rows:
+        return "it starts another recording"
+    before = next((other for other in reversed(rows) if other.get("kind") == "cycle"), row)
+    if row.get("kind") == "cycle" and row["time"] < before["time"]:
+        return "its time is before that of an earlier cycle"
+    return ""
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:

@@ -81,6 +81,8 @@ def request_of(requested: Scenario) -> tuple[str, RigRequest]:
     name = requested.rig
     kind, _, argument = name.partition(":")
     file = None
+    if argument and kind in SIMULATES:
+        raise InputError(f"unknown rig {name!r}", field="--rig", choices=rig_names())
     if kind not in _entry_points(RIGS):
         shipped = resources.names("models/rigs", ".toml")
         if "." not in name and "/" not in name and name not in shipped:

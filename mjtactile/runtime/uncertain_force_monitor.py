@@ -53,8 +53,8 @@ class UncertainForceMonitor(Observer):
         if not touch.touching and math.isfinite(sd):
             self._detectable[i] = min(self._detectable[i], sd)
         known = self._detectable[i]
-        least = known if math.isfinite(known) else _DETECTABLE_MIN
-        is_light = not touch.touching or not force > _WELL_ABOVE * max(least, _DETECTABLE_MIN)
+        detectable = known if math.isfinite(known) else _DETECTABLE_MIN
+        is_light = not touch.touching or not force > _WELL_ABOVE * max(detectable, _DETECTABLE_MIN)
         wide = not is_light and sd > _SD_FRACTION * force
         if not wide:
             self._since[i] = math.nan

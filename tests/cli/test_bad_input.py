@@ -314,3 +314,19 @@ def test_a_wrong_option_is_refused_before_anything_starts(command, tmp_path, wor
     assert option in done.stderr or value in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("grasp", "--object", "\udcff.xml"), "\\udcff.xml: object: no such file"),
+        (("grasp", "--rig", "sim:1"), "--rig: unknown rig 'sim:1'"),
+        (("new", "object", ".."), "..: is a folder"),
+    ],
+)
+def test_names_that_no_file_or_rig_has(command, tmp_path, words, message):
+    done = command(*words)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"mjtactile: {message}")
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

@@ -166,6 +166,7 @@ def test_without_a_name_the_coefficients_of_opencv_determine_the_model(tmp_path,
         ('{\n  "value0": {"intrinsics": []}}', ["Basalt", "camera_info"]),
         ("<calibration><projection>frame</projection></calibration>", ["Metashape", "OpenCV"]),
         (b"MATLAB 5.0 MAT-file\x00\xff", ["MATLAB", "cameraIntrinsicsToOpenCV"]),
+        (b"\x00\x01\x02", ["not valid YAML", "#x0000"]),
         (b"\x1f\x8b\x08\x00", ["archive", "ost.yaml"]),
         (
             KALIBR.replace("pinhole", "omni").format(model="radtan", k=D[:4]),

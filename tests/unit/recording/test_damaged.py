@@ -206,6 +206,24 @@ def test_contradicting_columns_are_left_out(tmp_path, complete, values, wrong):
     assert not len(found) and f"corrupt: {wrong}" in found.problems[0]
 
 
+def test_lines_of_another_recording_are_left_out(tmp_path, complete):
+    lines = (complete / "log.jsonl").read_text().splitlines()
+    (tmp_path / "log.jsonl").write_text("\n".join([lines[0], *lines]) + "\n")
+    assert len(load_recording(tmp_path)) == 6
+    assert "line 2 is corrupt: it starts another recording" in load_recording(tmp_path).problems[0]
+
+
+def test_time_that_runs_backwards_is_left_out(tmp_path, complete):
+    lines = (complete / "log.jsonl").read_text().splitlines()
+    cycles = [n for n, line in enumerate(lines) if '"kind": "cycle"' in line]
+    first, last = cycles[0], cycles[-1]
+    lines[first], lines[last] = lines[last], lines[first]
+    (tmp_path / "log.jsonl").write_text("\n".join(lines) + "\n")
+    found = load_recording(tmp_path)
+    assert len(found) == 1  # the last cycle, which now is the first
+    assert "its time is before that of an earlier cycle" in found.problems[0]
+
+
 @pytest.mark.parametrize(
     "scenario",
     [
