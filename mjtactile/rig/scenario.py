@@ -16,7 +16,7 @@ from mjtactile.core.config_fields import read
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.signature_checks import validated
+from mjtactile.core.signature_checks import shown, validated
 from mjtactile.core.toml import Section, read_json, read_toml
 from mjtactile.recording.reader import Recording, load_recording
 from mjtactile.recording.recorded_sensors import recorded_sensors, require_recorded
@@ -79,9 +79,14 @@ def resolve_scenario(scenario: Scenario, given: Sequence[str] | None = None) -> 
         The scenario with its sensors, and for a recording with its facts.
 
     Raises:
-        InputError: The rig file is missing or wrong, or a recording has another sensor than the
-            given one.
+        InputError: The rig file is missing or wrong, a given name is no field, or a recording has
+            another sensor than the given one.
     """
+    for name in given or ():
+        if name not in Scenario.__dataclass_fields__:
+            message = f"{shown(name)} is not a field of a scenario"
+            choices = Scenario.__dataclass_fields__
+            raise InputError(message, source="resolve_scenario", field="given", choices=choices)
     backend, _, folder = scenario.rig.partition(":")
     if backend == "replay":
         chosen = tuple(scenario.given) if given is None else given

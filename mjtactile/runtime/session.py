@@ -16,10 +16,11 @@ import numpy.ma  # noqa: F401
 
 from mjtactile.core import signals
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.errors import InputError
 from mjtactile.core.flags import Flags, merge_flags
 from mjtactile.core.option_requirements import require_effects
 from mjtactile.core.scenario import Scenario
-from mjtactile.core.signature_checks import above, not_below, validated
+from mjtactile.core.signature_checks import above, not_below, shown, validated
 from mjtactile.core.types import Command
 from mjtactile.recording.observer import CycleCallback, Observer, Observers
 from mjtactile.rig.finger import Rig
@@ -77,6 +78,8 @@ class Session:
         self._pool = pool
         self._shapes = contact_shapes
         self._notify = notify
+        self.is_closed = False
+        """True once its rig was closed."""
         self._supervisor = Supervisor(rig.period)
         names = tuple(finger.name for finger in rig.fingers)
         self._push = UnsensedForceMonitor(names, rig.period)
@@ -121,6 +124,7 @@ class Session:
         Raises:
             DeviceError: The camera images do not agree with the sensor file.
         """
+        self._require_open()
         observer = observer or Observer()
         rig = self.rig
         simulated = {"simulated": rig.simulated} if rig.simulated else {}
@@ -197,12 +201,18 @@ class Session:
             The last command sent.
 
         Raises:
-            InputError: The controller requires shapes, but the touch is synthetic.
+            InputError: The controller requires shapes, but the touch is synthetic. It is not a
+                controller, or the session is closed.
             ControllerError: The controller failed.
             DeviceError: A device failed; also after a fault brought the rig to its safe state.
             Interrupted: A signal requested the end of the process.
             SimulationError: The simulation failed.
         """
+        self._require_open()
+        if not (callable(getattr(controller, "step", None)) and hasattr(controller, "path")):
+            choices = ["mjtactile.load_controller(FILE)"]
+            text = f"{shown(controller)} is not a controller"
+            raise InputError(text, source="Session.run", field="controller", choices=choices)
         self._supervisor = Supervisor(self.rig.period) if supervisor is None else supervisor
         watching: list[Observer] = [] if observer is None else [observer]
         if on_cycle is not None:
@@ -237,11 +247,16 @@ class Session:
         Yields:
             The stepwise control: call `observe`, then `send`, repeatedly.
         """
+        self._require_open()
         found = StepwiseControl(self.rig, self.perceptions, self._threads)
         try:
             yield found
         finally:
             found.close()
+
+    def _require_open(self) -> None:
+        if self.is_closed:
+            raise InputError("is closed: open another one", source="Session")
 
     def _require_shapes(self, asks: bool, source: Path | None = None) -> None:
         if asks and self.rig.touch_is_synthetic:
@@ -308,7 +323,7 @@ def open_session(
             pool = _start_pool(built, workers)
             if pool is not None:
                 stack.callback(pool.close)
-            yield Session(
+            session = Session(
                 built,
                 settings=settings,
                 threads=workers,
@@ -316,6 +331,10 @@ def open_session(
                 contact_shapes=requested.contact_shapes,
                 notify=notify,
             )
+            try:
+                yield session
+            finally:
+                session.is_closed = True
 
 
 def _for_simulation(
