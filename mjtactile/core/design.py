@@ -43,6 +43,7 @@ from mjtactile.core.signature_checks import validated
 from mjtactile.core.toml import Section, parse_toml, read_toml_with_text, toml_text
 
 _TEXT = "_source_text"  # attribute of a design with the text of its file
+_SAME_POINT = 1e-6
 _RIM = 2 * np.pi * np.arange(16) / 16  # points on a marker's edge
 _NAMED_MAX = 5  # markers listed in a message
 _FARTHER = 1.005  # step of the search for a distance that shows all markers
@@ -168,6 +169,8 @@ class SensorDesign:
     def markers_outside_image(self) -> NDArray[np.int64]:
         """Return the indices of the flat membrane's markers that are not completely in the image.
 
+        Behind its fold, a lens model maps other points to the same pixels.
+
         Returns:
             Indices into the marker layout; empty: all are visible.
         """
@@ -176,6 +179,9 @@ class SensorDesign:
         p_CP = self.markers.p_SM[:, None] + edge - camera.p_SC
         uv = optics.project(optics.Camera.from_design(camera, self.glass), p_CP)
         inside = (uv > -0.5) & (uv < (camera.width - 0.5, camera.height - 0.5))
+        ideal = p_CP[..., :2] / p_CP[..., 2:]
+        # the inverse is exact to 1e-13, and a point behind the fold is a whole image away
+        inside &= np.abs(camera.lens.undistort(camera.lens.distort(ideal)) - ideal) < _SAME_POINT
         return np.flatnonzero(~inside.all(axis=(1, 2)))
 
     def validate(self, section: Section) -> None:

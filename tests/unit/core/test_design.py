@@ -175,6 +175,17 @@ def test_markers_outside_the_image_are_named_with_the_distance_that_shows_all():
     assert not len(design.markers_outside_image())
 
 
+def test_markers_behind_the_fold_of_a_lens_are_not_in_the_image():
+    """1 + k1 r^2 folds at r^2 = -1 / (3 k1): at r = 0.258 for k1 = -5. With the glass 0.7 mm nearer,
+    that is 11.4 mm off the center of the membrane, and the edge of a marker is 1 mm farther than its
+    center. 31 of the markers at (4 i, 3 j) mm are within 10.4 mm of the center."""
+    centers = [math.hypot(4 * i, 3 * j) for i in range(-4, 5) for j in range(-4, 5)]
+    behind = sum(r > 10.4 for r in centers)
+    with pytest.raises(InputError, match=f"{behind} of 81 markers outside the image"):
+        table = near_camera(45.0, distortion=[-5.0, 0.0, 0.0, 0.0, 0.0])
+        sensor_from_table(table, name="x", source="x.toml")
+
+
 def test_a_fisheye_sees_more_at_the_same_distance():
     """At 17.1 mm behind the glass the edge at x = 17 mm is 45 degrees off the axis: 600 tan = 600 px,
     395 atan = 309 px."""
