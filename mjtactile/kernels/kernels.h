@@ -325,7 +325,7 @@ int64_t qs_solve_batch(const double *numbers /* 20 */, const double *law /* 11 *
    MuJoCo body `carrier`; the equilibrium as in qs_solve, or by linear springs after small motions;
    sticking stiffness `grip` and sliding of each patch. `touched`: patches (plus one) of the nodes at
    the last sticking stiffness and at the last solution, then workspace. `before`: x and y of that
-   solution, workspace, loads of the nodes, and loads by unit motions of the patches. */
+   solution, workspace, loads and lags of the nodes, and loads by unit motions of the patches. */
 int64_t qs_follow(const double *numbers /* 20 */, const double *law /* 11 */, int64_t columns, int64_t rows, int64_t keeping,
                     const float *kept /* keeping */, const double *rest /* 3, columns, rows */, int64_t roomy,
                     double *room /* roomy */, const double *settings /* 9 */, int64_t geoms, double *body /* geoms, 20 */,
@@ -335,12 +335,12 @@ int64_t qs_follow(const double *numbers /* 20 */, const double *law /* 11 */, in
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
                     const int64_t *geom /* geoms */, const int64_t *slot /* geoms */, const double *bounds /* geoms, 7 */,
-                    int64_t slots, const int64_t *body_of /* slots */, double *memory /* 26 */, double *patches /* slots, 64 */,
+                    int64_t slots, const int64_t *body_of /* slots */, double *memory /* 26 */, double *patches /* slots, 57 */,
                     double *grip /* 3 * slots, 3 * slots */, int32_t *touched /* 3, columns, rows */,
-                    double *before /* 8 + 6 * slots, columns, rows */);
+                    double *before /* 10 + 6 * slots, columns, rows */);
 /* Compute the generalized forces `push` of this membrane on MuJoCo's degrees of freedom, and the
    `holds` on free bodies (see qs_joint_forces.c). Returns 1 if there is contact. */
-int64_t qs_push(const double *given /* 8 */, int64_t slots, const double *patches /* slots, 64 */, const int64_t *body_of /* slots */,
+int64_t qs_push(const double *given /* 8 */, int64_t slots, const double *patches /* slots, 57 */, const int64_t *body_of /* slots */,
                   const double *grip /* 3 * slots, 3 * slots */, int64_t carrier, int64_t nbody,
                   const int32_t *parent /* nbody */, const int32_t *joints /* nbody */, const int32_t *first /* nbody */, int64_t njnt,
                   const int32_t *type /* njnt */, const int32_t *dof /* njnt */, const double *anchor /* njnt, 3 */,

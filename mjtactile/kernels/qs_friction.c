@@ -29,7 +29,12 @@
 #define PAUSE 32        /* steps until the next attempt if no lift has a solution */
 /* fraction of contact nodes that may change before the sticking stiffness is computed again */
 #define CHANGED 0.1
-#define FLEXIBLE 1e-9   /* remainder of a stiffness that is rounding error */
+/* sweeps over the loads of nodes at the friction limit, and work after which none starts, in pairs of
+   nodes */
+#define SWEEPS 8
+#define MAX_WORK 8000
+#define CLOSE_LOAD 1e-3 /* change of a load that is ignored, over the mean limit */
+#define AT_LIMIT 1e-6   /* relative distance from the limit that is rounding error */
 /* numbers of a geom: squared distance within which it is near, m^2; center and half-extents, m, of
    its bounding box, in its own frame */
 #define BOUNDS 7
@@ -125,9 +130,10 @@ static void pose_of(const Scene *s, long slot, double R_SB[9], double p_SB[3]) {
     into(s->R, off, p_SB);
 }
 
-/* Loads of the nodes in contact at the last sticking stiffness (2, count), N; patch of each node, plus
-   one; loads by unit motions of the patches (3 slots, 2, count). */
-typedef struct { const int32_t *patch; double *load, *unit; } Held;
+/* Loads of the nodes in contact (2, count), N; displacements by which they lag behind their bodies
+   (2, count), m; patch of each node at the last sticking stiffness, plus one; loads by unit motions of
+   the patches (3 slots, 2, count); workspace for a list of nodes (count). */
+typedef struct { const int32_t *patch; double *load, *lag, *unit; int32_t *node; } Held;
 
 /* Return the position of a node in the plane, along x or y. */
 static inline double x_of(const Membrane *f, const double *x, long k) { return k / f->rows * f->dx - f->numbers.length_x / 2 + x[k]; }
@@ -138,27 +144,16 @@ static inline double y_of(const Membrane *f, const double *x, long k) {
 /* Return the index of x of a node among the in-plane displacements of the inner nodes; y is next. */
 static inline long inner_of(const Membrane *f, long k) { return 2 * ((k / f->rows - 1) * f->inner_rows + k % f->rows - 1); }
 
-/* Compute the displacement of an inner node along `axis` by the loads of the nodes `left` that left the
-   contact. */
+/* Compute the displacement of an inner node along `axis` by which it lags, and by the loads of the
+   nodes `left` that left the contact. */
 static double displacement_of(const Membrane *f, const double *compliance, const Held *h, long k, int axis, long lost, const long *left) {
     const double *row = compliance + (inner_of(f, k) + axis) * 2 * f->inner;
-    double sum = 0;
+    double sum = h->lag[axis * f->count + k];
     for (long i = 0; i < lost; i++) {
         const long n = left[i];
         sum += row[inner_of(f, n)] * h->load[n] + row[inner_of(f, n) + 1] * h->load[f->count + n];
     }
     return sum;
-}
-
-/* Add the loads by the patches' motions since the last stiffness to those of that time, and start the
-   motions again. */
-static void collect_loads(const Membrane *f, long slots, Held *h, Patch *patches) {
-    for (long s = 0; s < slots; s++)
-        for (int c = 0; c < 3; c++) {
-            const double by = patches[s].strain[c], *unit = h->unit + (3 * s + c) * 2 * f->count;
-            patches[s].strain[c] = 0;
-            for (long k = 0; k < 2 * f->count && by != 0; k++) h->load[k] += by * unit[k];
-        }
 }
 
 /* Factorize the positive definite A (n, n): A = L L^T in its lower triangle. */
@@ -198,10 +193,9 @@ static int find_grip(const Membrane *f, const double *x, const double *complianc
                      Patch *patches) {
     long count = 0, lost = 0, wide = 0, *node = malloc((2 * f->inner + slots) * sizeof *node), *left = node + f->inner, *column = left + f->inner;
     if (!node) return 1;
-    collect_loads(f, slots, h, patches);
     for (long s = 0; s < slots; s++) {
         column[s] = patches[s].touching ? 3 * wide++ : -1;
-        patches[s].gripped = 0, memset(patches[s].base, 0, sizeof patches[s].base);
+        patches[s].gripped = 0;
     }
     for (long i = 1; i < f->columns - 1; i++)
         for (long j = 1; j < f->rows - 1; j++) {
@@ -224,13 +218,13 @@ static int find_grip(const Membrane *f, const double *x, const double *complianc
     factorize(n, A), solve_factorized(n, A, loads + 1, b);
     memset(grip, 0, 9 * slots * slots * sizeof *grip);
     memset(h->unit, 0, 6 * slots * f->count * sizeof *h->unit);
+    memset(h->lag, 0, 2 * f->count * sizeof *h->lag);
     for (long i = 0; i < lost; i++) h->load[left[i]] = h->load[f->count + left[i]] = 0;
     for (long a = 0; a < n; a++) {
         const long k = node[a / 2], own = h->patch[k] - 1;
         const double off[2] = {x_of(f, x, k) - patches[own].middle[0], y_of(f, x, k) - patches[own].middle[1]};
         const double *row = b + (loads + 1) * a;
-        const double load = h->load[a % 2 * f->count + k] += row[last];
-        for (int c = 0; c < 3; c++) patches[own].base[c] += rigid(c, a % 2, off) * load;
+        h->load[a % 2 * f->count + k] += row[last];
         for (long t = 0; t < slots; t++)
             for (int d = 0; d < 3 && column[t] >= 0; d++) {
                 const double by = row[column[t] + d];
@@ -270,7 +264,7 @@ static void find_middle(const Membrane *f, const double *x, const double *force,
 
 static void release(Patch *p) {
     p->touching = 0, p->slides = 0, p->gripped = 0, p->radius = 0;
-    memset(p->wrench, 0, sizeof p->wrench), memset(p->strain, 0, sizeof p->strain), memset(p->shear, 0, sizeof p->shear), memset(p->base, 0, sizeof p->base);
+    memset(p->wrench, 0, sizeof p->wrench), memset(p->shear, 0, sizeof p->shear);
 }
 
 /* Return the obstacle on which a node lies, or -1: the lowest one over it, or next to it if the node
@@ -428,70 +422,106 @@ static int hold_again(const Membrane *f, const Bodies *bodies, const Scene *s, c
     }
     for (long k = 0; k < f->count; k++) was[k] = owner[k], count += was[k] > 0, differ += was[k] != touched[k];
     memcpy(x_before, x, 2 * f->count * sizeof *x);
-    if (!m->touching) memset(held->load, 0, 2 * f->count * sizeof *held->load);
+    if (!m->touching) memset(held->load, 0, 4 * f->count * sizeof *held->load);
     if (!m->touching || !(g->friction > 0) || !(others || differ > CHANGED * (double)count)) return 0;
     memcpy(touched, was, f->count * sizeof *was);
     return find_grip(f, x, compliance, s->slots, grip, held, m, patches);
 }
 
-/* Solve K x = b for one patch, by Cholesky's factors; `wide`: row length of K. A patch of one node has
-   no stiffness in torsion, and does not turn. */
-static void solve_patch(const double *K, long wide, const double *b, double *x) {
-    double L[3][3] = {{0}}, y[3];
-    for (int i = 0; i < 3; i++) {
-        y[i] = b[i];
-        for (int j = 0; j <= i; j++) {
-            double sum = K[i * wide + j];
-            for (int k = 0; k < j; k++) sum -= L[i][k] * L[j][k];
-            if (i == j) L[i][i] = sum > FLEXIBLE * K[i * wide + i] && sum > 0 ? sqrt(sum) : INFINITY;
-            else L[i][j] = sum / L[j][j];
+/* Nodes of a sticking contact in turn: index of x in the compliance, limit of the load, N; load, N, and
+   lag, m, along x and y. */
+typedef struct { long at; double limit, load[2], lag[2]; } Node;
+
+/* Move loads of nodes beyond Coulomb's limit to nodes within it, by projected Gauss-Seidel sweeps.
+   `spacing`: length of a row of the compliance. A node within its limit lags behind its body by the
+   remaining error only; the next call continues from it. */
+static void redistribute(const double *compliance, long spacing, long count, Node *nodes) {
+    double mean = 0;
+    for (long a = 0; a < count; a++) mean += nodes[a].limit / (double)count;
+    long changes = 1, work = 0;
+    for (int sweep = 0; sweep < SWEEPS && changes && work < MAX_WORK; sweep++) {
+        changes = 0;
+        for (long a = 0; a < count; a++) {
+            Node *n = nodes + a;
+            const double *x = compliance + n->at * spacing, *y = x + spacing;
+            const double xx = x[n->at], xy = x[n->at + 1], yy = y[n->at + 1], det = xx * yy - xy * xy;
+            double next[2] = {n->load[0] + (yy * n->lag[0] - xy * n->lag[1]) / det, n->load[1] + (xx * n->lag[1] - xy * n->lag[0]) / det};
+            const double size = hypot(next[0], next[1]), left = size > n->limit ? n->limit / size : 1;
+            const double by[2] = {left * next[0] - n->load[0], left * next[1] - n->load[1]};
+            if (fabs(by[0]) + fabs(by[1]) <= CLOSE_LOAD * mean) continue;
+            changes++, work += count;
+            for (int i = 0; i < 2; i++) n->load[i] += by[i];
+            for (long c = 0; c < count; c++) {
+                Node *other = nodes + c;
+                other->lag[0] -= x[other->at] * by[0] + y[other->at] * by[1];
+                other->lag[1] -= x[other->at + 1] * by[0] + y[other->at + 1] * by[1];
+            }
         }
-        for (int k = 0; k < i; k++) y[i] -= L[i][k] * y[k];
-        y[i] /= L[i][i];
-    }
-    for (int i = 2; i >= 0; i--) {
-        x[i] = y[i];
-        for (int k = i + 1; k < 3; k++) x[i] -= L[k][i] * x[k];
-        x[i] /= L[i][i];
     }
 }
 
-/* Move the patches by `along` (slots, 3) against the membrane, up to Coulomb's limit for their
-   forces `pressed` (slots). A patch slides until its load, to which its neighbors contribute through
-   the membrane, is within the limit. Return the sliding distance, m, of their mean weighted by force:
-   parts of a soft body that are pressed apart slide in opposite directions. */
-static double stick(const Membrane *f, const Given *g, long slots, const double *pressed, const double *along, const double *grip, Held *h,
-                    Patch *patches) {
-    double total = 0, slip[2] = {0};
-    long count = 0;
-    for (long s = 0; s < slots; s++) {
-        if (!patches[s].touching) continue;
-        for (int i = 0; i < 3; i++) patches[s].strain[i] += along[3 * s + i];
-        total += pressed[s], count++;
-    }
+/* Compute the load `shear` of each patch, and its sliding distance `slip` (slots, 2), m: the mean of
+   its nodes, weighted by force. A patch slides if each of its nodes is at the limit. */
+static void add_loads(const Membrane *f, const double *x, long count, Node *nodes, long slots, Held *h, Patch *patches, double *slip) {
     for (long s = 0; s < slots; s++) {
         Patch *p = patches + s;
-        if (!p->touching) continue;
-        double load[3], beyond[3], slides[3];
-        for (int i = 0; i < 3; i++) {
-            const double *K = grip + (3 * s + i) * 3 * slots, *own = K + 3 * s;
-            load[i] = p->base[i] + own[0] * p->strain[0] + own[1] * p->strain[1] + own[2] * p->strain[2];
-            for (long t = 0; t < slots; t++)
-                for (int j = 0; j < 3 && t != s && patches[t].touching; j++) load[i] += K[3 * t + j] * patches[t].strain[j];
+        double weight = 0;
+        memset(p->shear, 0, sizeof p->shear), p->slides = 0;
+        slip[2 * s] = slip[2 * s + 1] = 0;
+        long stuck = 0;
+        for (long a = 0; a < count; a++) {
+            Node *n = nodes + a;
+            const long k = h->node[a];
+            if (h->patch[k] != s + 1) continue;
+            const double off[2] = {x_of(f, x, k) - p->middle[0], y_of(f, x, k) - p->middle[1]};
+            const int is_stuck = hypot(n->load[0], n->load[1]) < (1 - AT_LIMIT) * n->limit;
+            stuck += is_stuck, weight += n->limit;
+            for (int i = 0; i < 2; i++) {
+                for (int c = 0; c < 3; c++) p->shear[c] += rigid(c, i, off) * n->load[i];
+                slip[2 * s + i] += n->limit * n->lag[i];
+                h->load[i * f->count + k] = n->load[i];
+                h->lag[i * f->count + k] = is_stuck ? n->lag[i] : 0;
+            }
         }
-        const double carried = hypot(hypot(load[0], load[1]), load[2] / max_of(p->radius, g->spacing / 4)), limit = g->friction * pressed[s];
-        p->slides = carried > limit;
-        p->left = p->slides ? limit / carried : 1;
-        for (int i = 0; i < 3; i++) p->shear[i] = load[i] * p->left;
-        if (!p->slides) continue;
-        for (int i = 0; i < 3; i++) beyond[i] = (1 - p->left) * load[i];
-        solve_patch(grip + 9 * s * slots + 3 * s, 3 * slots, beyond, slides);
-        for (int i = 0; i < 3; i++) p->strain[i] = count > 1 ? p->strain[i] - slides[i] : p->strain[i] * p->left;
-        for (int i = 0; i < 3 && count == 1; i++) p->base[i] *= p->left;
-        for (long k = 0; k < 2 * f->count && count == 1; k++) h->load[k] *= p->left;
-        for (int i = 0; i < 2 && total > 0; i++) slip[i] += pressed[s] / total * slides[i];
+        p->slides = p->touching && p->gripped > 0 && !stuck;
+        for (int i = 0; i < 2; i++) slip[2 * s + i] = p->slides && weight > 0 ? slip[2 * s + i] / weight : 0;
     }
-    return hypot(slip[0], slip[1]);
+}
+
+/* Move the patches by `along` (slots, 3) against the membrane, up to Coulomb's limit of each node for
+   the forces `pressed` (slots). Return the sliding distance, m, of the mean of the patches weighted by
+   force: parts of a soft body that are pressed apart slide in opposite directions. Returns -1 if
+   memory runs out. */
+static double stick(const Membrane *f, const Given *g, const double *compliance, const double *x, const double *force, long slots,
+                    const double *pressed, const double *along, Held *h, Patch *patches) {
+    double total = 0, mean[2] = {0};
+    long count = 0;
+    for (long s = 0; s < slots; s++)
+        if (patches[s].touching) total += pressed[s];
+    for (long i = 1; i < f->columns - 1; i++)
+        for (long j = 1; j < f->rows - 1; j++)
+            if (h->patch[i * f->rows + j]) h->node[count++] = (int32_t)(i * f->rows + j);
+    double *slip = malloc(count * sizeof(Node) + 2 * slots * sizeof *slip);
+    if (!slip) return -1;
+    Node *nodes = (Node *)(slip + 2 * slots);
+    for (long a = 0; a < count; a++) {
+        const long k = h->node[a];
+        const Patch *p = patches + h->patch[k] - 1;
+        Node *n = nodes + a;
+        n->at = inner_of(f, k);
+        n->limit = p->touching && force[k] > 0 ? g->friction * force[k] * pressed[p - patches] / -p->carried[2] : 0;
+        for (int i = 0; i < 2; i++) {
+            n->load[i] = h->load[i * f->count + k], n->lag[i] = h->lag[i * f->count + k];
+            for (long c = 0; c < 3 * slots; c++)
+                if (along[c] != 0) n->load[i] += along[c] * h->unit[(2 * c + i) * f->count + k];
+        }
+    }
+    redistribute(compliance, 2 * f->inner, count, nodes);
+    add_loads(f, x, count, nodes, slots, h, patches, slip);
+    for (long s = 0; s < slots; s++)
+        for (int i = 0; i < 2 && total > 0; i++) mean[i] += pressed[s] / total * slip[2 * s + i];
+    free(slip);
+    return hypot(mean[0], mean[1]);
 }
 
 /* Sum up the patches in the state of the membrane. */
@@ -524,7 +554,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
     const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier,
                      f.numbers.depth};
     (void)nbody, (void)ngeom;
-    Held held = {touched, before + 6 * f.count, before + 8 * f.count};
+    Held held = {touched, before + 6 * f.count, before + 8 * f.count, before + 10 * f.count, touched + 2 * f.count};
     const int has_moved = update_patches(&s, body, m, patches);
     const int again = m->time == g->time; /* same time instant */
     /* a repeated update changes nothing */
@@ -596,7 +626,9 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
         for (int i = 0; i < 2; i++) along[3 * k + i] = moved[6 * k + i] - shift[2 * k + i];
         along[3 * k + 2] = moved[6 * k + 5];
     }
-    if (g->friction > 0) m->slid += stick(&f, g, slots, pressed, along, grip, &held, patches);
+    const double slip = stick(&f, g, compliance, x, force, slots, pressed, along, &held, patches);
+    if (slip < 0) return free(own), NO_MEMORY;
+    m->slid += slip;
     for (long k = 0; k < slots; k++) {
         Patch *p = patches + k;
         if (!p->touching) continue;

@@ -26,9 +26,7 @@ typedef struct {
     double touching, near, known;   /* 1 in contact; near; with a pose of the last solution */
     double wrench[6];               /* wrench on the membrane about the origin of S */
     double middle[3], radius, slides;
-    /* shear displacement since the last sticking stiffness, m, m, rad, and load, N, N, N m, of the
-       body on the membrane */
-    double strain[3], shear[3];
+    double shear[3];                /* load of the body on the membrane, N, N, N m */
     double gripped;                 /* its nodes of the sticking stiffness */
     double carried[6];              /* frictionless wrench of the last solution */
     /* stiffness against indentation by the tension, N/m; volume that the indentation displaces,
@@ -38,10 +36,8 @@ typedef struct {
     double R_rest[9], p_rest[3];    /* pose at the last solution */
     /* displacement of the body's origin, m, and rotation, rad, since the previous update */
     double moved[6];
-    double left;                    /* fraction of the load within Coulomb's limit */
-    double base[3];                 /* load at the last sticking stiffness, N, N, N m */
 } Patch;
-#define QS_PATCH 64
+#define QS_PATCH 57
 
 /* Inputs: friction coefficient; stiffness of bulge and gas, Pa/m^3; time step, s; half width of the
    frame, m; spacing of nodes, m; time, s; reach of the membrane from the center of its frame, m. */

@@ -44,11 +44,8 @@ PATCH = np.dtype([
     ("middle", float, 3),
     ("radius", float),
     ("slides", float),
-    ("strain", float, 3),  # motion along x and y, m, and rotation, rad, since that stiffness
     ("shear", float, 3),
     ("rest", float, 40),
-    ("left", float),
-    ("base", float, 3),  # load at the last sticking stiffness
 ])  # fmt: skip
 """State of one body at the membrane, as in kernels/qs_friction.h. SI units, S."""
 _FLAT = 1.0  # pressure, Pa, below which the membrane is flat

@@ -87,7 +87,7 @@ class QuasistaticSensor(BaseSensor):
         self._grip = np.zeros((3 * count, 3 * count))
         # patches of the nodes, plus one: at the last sticking stiffness, and at the last solution
         self._touched = np.zeros((3, *membrane.grid), np.int32)
-        self._before = np.zeros((8 + 6 * count, *membrane.grid))
+        self._before = np.zeros((10 + 6 * count, *membrane.grid))
         self._pushes = pushes_of(model, data)
         self._number = self._pushes.join(prefix, count)
         self._force = np.zeros((2, model.nv))  # and damping
@@ -302,9 +302,7 @@ class QuasistaticSensor(BaseSensor):
         x = self._live.x.copy()
         load = None
         if self.is_touched and self.friction > 0:
-            count = len(self._patches)
-            unit = self._before[8:].reshape(3 * count, 2, *x.shape[1:])
-            load = self._before[6:8] + np.tensordot(self._patches["strain"].ravel(), unit, 1)
+            load = self._before[6:8].copy()
 
         def positions() -> Array:
             moved = x.reshape(3, -1).T.copy()
