@@ -14,6 +14,7 @@ from mjtactile.warp.contact_stiffness import ContactStiffness
 from mjtactile.warp.device.contact import Patch
 from mjtactile.warp.device.forces import Joints, Stiffness, add_forces
 from mjtactile.warp.device.markers import find_markers
+from mjtactile.warp.device.sticking import NodeLoads
 from mjtactile.warp.device.update import Heat, States, reset_worlds
 from mjtactile.warp.marker_positions import weights_of
 from mjtactile.warp.membranes import Membranes
@@ -120,7 +121,7 @@ class Touch:
                 find_markers,
                 dim=[part.count],
                 inputs=[
-                    *(part.rubber, part.fields, states.patches, states.load, states.unit),
+                    *(part.rubber, part.fields, states.nodes),
                     *(physics.sticking, *self._markers, self._positions),
                 ],
                 block_dim=part.block,
@@ -172,8 +173,10 @@ def _states(membranes: Membranes, sensor_geoms: Any) -> Any:
     states = States()
     states.patches = wp.zeros((count, sensor_geoms.bodies.shape[1]), dtype=Patch)
     states.before = wp.zeros((count, 3, nodes), dtype=float)
-    states.load = wp.zeros((count, 2, nodes), dtype=float)
-    states.unit = wp.zeros((count, 6 * sensor_geoms.bodies.shape[1], nodes), dtype=float)
+    states.nodes = NodeLoads()
+    states.nodes.load = wp.zeros((count, 2, nodes), dtype=float)
+    states.nodes.lag = wp.zeros((count, 2, nodes), dtype=float)
+    states.nodes.unit = wp.zeros((count, 6 * sensor_geoms.bodies.shape[1], nodes), dtype=float)
     friction = float(membranes.design.membrane.friction)
     states.friction = wp.full(count, friction, dtype=float)
     states.wrench = wp.zeros((count, 6), dtype=float)

@@ -94,9 +94,7 @@ def test_markers_move_with_the_membrane_and_the_shear(held):
     found = touch.markers().numpy()[0, 0]
     u = touch.membranes.fields.u.numpy()[0].astype(float).reshape(3, *membrane.grid)
     states = touch._physics.states
-    strain = states.patches.numpy()[0, 0]["strain"].astype(float)
-    unit = states.unit.numpy()[0].reshape(3, 2, *membrane.grid)
-    load = states.load.numpy()[0].reshape(2, *membrane.grid) + np.tensordot(strain, unit, 1)
+    load = states.nodes.load.numpy()[0].reshape(2, *membrane.grid)
     fields = touch.membranes.fields
     normal, slopes = fields.force.numpy()[0], (fields.slope_x.numpy()[0], fields.slope_y.numpy()[0])
     tilted = [float((normal * slope).sum()) for slope in slopes]  # frictionless, of a tilted disc

@@ -18,7 +18,6 @@ wp.set_module_options({"enable_backward": False})
 
 MIN_FORCE = wp.constant(1.0e-4)
 """Force below which nothing sticks, N."""
-_FLEXIBLE = wp.constant(1.0e-10)  # torsional over shear stiffness of one node, m^2
 _TILT = wp.constant(0.25)  # tilt stiffness over stiffness times radius^2
 
 
@@ -27,9 +26,8 @@ class Patch:
     """Contact of one body on one membrane, and the memory of its friction.
 
     `force` and `torque` act on the membrane about the origin of S. `area` m^2 is that of X5.
-    `grip` is the stiffness against motion about `middle`, `base` the load, N, N, N m, of the nodes
-    when it was computed, `strain` the motion since then, m, m, rad. Sliding left the fraction
-    `left` of the load.
+    `grip` is the stiffness against motion about `middle`, `along` the motion over the membrane in
+    the last step, m, m, rad.
     `shift` is the in-plane motion, m, of the contact nodes since the last solution, which is no
     motion of the body over the membrane. `moved` and `turned` are the motion of the body in the
     last step, `R` and `p` its pose.
@@ -44,9 +42,7 @@ class Patch:
     middle: wp.vec3
     force: wp.vec3
     torque: wp.vec3
-    strain: wp.vec3
-    base: wp.vec3
-    left: float
+    along: wp.vec3
     grip: wp.mat33
     R: wp.mat33
     p: wp.vec3
@@ -160,42 +156,21 @@ def remember_nodes(
 
 
 @wp.func
-def _shift_of(grip: wp.mat33, load: wp.vec3) -> float:
-    """Return the distance, m, by which `load` shifts a patch of stiffness `grip`."""
-    K = grip
-    if K[2, 2] <= _FLEXIBLE * K[0, 0]:  # one node, which does not turn
-        for i in range(2):
-            K[i, 2] = 0.0
-            K[2, i] = 0.0
-        K[2, 2] = 1.0
-    shift = wp.inverse(K) @ load
-    return wp.length(wp.vec2(shift[0], shift[1]))
+def move(grip: wp.mat33, last: Patch, now: Patch, R: wp.mat33, p: wp.vec3) -> Patch:
+    """Return `now` with the motion since `last` of its body, which is at the pose `R`, `p`.
 
-
-@wp.func
-def stick(
-    membrane: MembraneGrid,
-    grip: wp.mat33,
-    last: Patch,
-    now: Patch,
-    friction: float,
-    R: wp.mat33,
-    p: wp.vec3,
-) -> Patch:
-    """Return `now` with friction: the strain of `last` and the body's motion, by Coulomb's law.
-
-    `grip` is the stiffness of the patch. `now` has its load at that time and the motion since then.
+    `grip` is the stiffness of the patch.
     """
     found = now
     found.R = R
     found.p = p
     found.touches = int(0)
     found.slides = int(0)
+    found.along = wp.vec3(0.0, 0.0, 0.0)
     if now.normal > MIN_FORCE:
         found.touches = 1
         found.grip = grip
-        strain = wp.vec3(0.0, 0.0, 0.0)
-        slid = float(0.0)
+        found.slid = float(0.0)
         if last.touches != 0:
             rotation = R @ wp.transpose(last.R)
             was = wp.transpose(rotation) @ (last.middle - p)
@@ -206,26 +181,8 @@ def stick(
                 rotation[0, 2] - rotation[2, 0],
                 rotation[1, 0] - rotation[0, 1],
             )
-            strain = now.strain + wp.vec3(
-                step[0] - now.shift[0], step[1] - now.shift[1], found.turned[2]
-            )
-            slid = last.slid
-        load = found.base + found.grip @ strain
-        arm = wp.max(now.radius, 0.25 * wp.min(membrane.dx, membrane.dy))
-        carried = wp.length(wp.vec3(load[0], load[1], load[2] / arm))
-        limit = friction * now.normal
-        left = float(1.0)
-        found.slid = slid
-        if carried > limit:
-            left = limit / carried
-            found.slides = 1
-            found.slid = slid + (1.0 - left) * _shift_of(grip, load)
-        found.strain = left * strain
-        found.base = left * found.base
-        found.left = left
-        shear = left * wp.vec3(load[0], load[1], 0.0)
-        found.force = now.force + shear
-        found.torque = now.torque + wp.cross(now.middle, shear) + wp.vec3(0.0, 0.0, left * load[2])
+            found.along = wp.vec3(step[0] - now.shift[0], step[1] - now.shift[1], found.turned[2])
+            found.slid = last.slid
     else:
         found.force = wp.vec3(0.0, 0.0, 0.0)
         found.torque = wp.vec3(0.0, 0.0, 0.0)

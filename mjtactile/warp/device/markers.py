@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.contact import Patch
 from mjtactile.warp.device.fields import Fields
 from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.relaxation import synchronize
-from mjtactile.warp.device.sticking import Sticking, moved_by, node_of
+from mjtactile.warp.device.sticking import NodeLoads, Sticking, moved_by, node_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -21,9 +20,7 @@ wp.set_module_options({"enable_backward": False})
 def find_markers(
     membrane: MembraneGrid,
     fields: Fields,
-    patches: wp.array2d(dtype=Patch),
-    load: wp.array3d(dtype=float),
-    unit: wp.array3d(dtype=float),
+    nodes: NodeLoads,
     sticking: Sticking,
     rest: wp.array(dtype=wp.vec3),
     weights: wp.array2d(dtype=float),
@@ -36,12 +33,7 @@ def find_markers(
     for n in range(lane, inner, threads):
         k = node_of(membrane, n)
         for axis in range(2):
-            total = load[f, axis, k]
-            for slot in range(patches.shape[1]):
-                strain = patches[f, slot].strain
-                for motion in range(3):
-                    total += strain[motion] * unit[f, 6 * slot + 2 * motion + axis, k]
-            sticking.loads[f, 2 * n + axis] = total
+            sticking.loads[f, 2 * n + axis] = nodes.load[f, axis, k]
     synchronize()
     for row in range(lane, 2 * inner, threads):
         sticking.moved[f, row] = moved_by(sticking, sticking.loads, f, row)

@@ -20,6 +20,19 @@ _CLOSE = wp.constant(1.0e-4)
 
 
 @wp.struct
+class NodeLoads:
+    """Loads of the nodes of all membranes (F,) by their contacts.
+
+    `load` (F, 2, N), N, along x and y; `lag` (F, 2, N), m, of the node behind its body; `unit`
+    (F, 6 slots, N), loads by unit motions of the patches.
+    """
+
+    load: wp.array3d(dtype=float)
+    lag: wp.array3d(dtype=float)
+    unit: wp.array3d(dtype=float)
+
+
+@wp.struct
 class Sticking:
     """Compliance of the inner nodes, and workspace of all membranes (F,).
 
@@ -99,7 +112,7 @@ def moved_by(sticking: Sticking, values: wp.array2d(dtype=float), f: int, row: i
 
 
 @wp.func
-def _sum(value: float) -> float:
+def sum_of(value: float) -> float:
     return wp.tile_extract(wp.tile_sum(wp.tile(value)), 0)
 
 
@@ -119,7 +132,7 @@ def find_loads(sticking: Sticking, f: int, lane: int, threads: int, close: float
     for a in range(lane, size, threads):
         row = 2 * sticking.held[f, a // 2] + a % 2
         square += sticking.residual[f, row] * sticking.residual[f, row]
-    square = _sum(square)
+    square = sum_of(square)
     limit = close * square
     for _step in range(_STEPS):
         if square > limit:
@@ -129,14 +142,14 @@ def find_loads(sticking: Sticking, f: int, lane: int, threads: int, close: float
                 row = 2 * sticking.held[f, a // 2] + a % 2
                 sticking.moved[f, row] = moved_by(sticking, sticking.direction, f, row)
                 curved += sticking.moved[f, row] * sticking.direction[f, row]
-            by = square / wp.max(_sum(curved), 1.0e-30)
+            by = square / wp.max(sum_of(curved), 1.0e-30)
             after = float(0.0)
             for a in range(lane, size, threads):
                 row = 2 * sticking.held[f, a // 2] + a % 2
                 sticking.loads[f, row] += by * sticking.direction[f, row]
                 sticking.residual[f, row] -= by * sticking.moved[f, row]
                 after += sticking.residual[f, row] * sticking.residual[f, row]
-            after = _sum(after)
+            after = sum_of(after)
             for a in range(lane, size, threads):
                 row = 2 * sticking.held[f, a // 2] + a % 2
                 new = sticking.residual[f, row] + after / square * sticking.direction[f, row]
@@ -146,7 +159,7 @@ def find_loads(sticking: Sticking, f: int, lane: int, threads: int, close: float
 
 
 @wp.func
-def _rigid(x: wp.vec3, middle: wp.vec3, motion: int, axis: int) -> float:
+def rigid(x: wp.vec3, middle: wp.vec3, motion: int, axis: int) -> float:
     """Return the displacement along an axis of a point by a unit motion: x, y, rotation."""
     found = float(0.0)
     if motion == axis:
@@ -160,28 +173,23 @@ def _rigid(x: wp.vec3, middle: wp.vec3, motion: int, axis: int) -> float:
 
 @wp.func
 def keep_loads(
-    membrane: MembraneGrid,
-    sticking: Sticking,
-    load: wp.array3d(dtype=float),
-    f: int,
-    lane: int,
-    threads: int,
+    membrane: MembraneGrid, sticking: Sticking, nodes: NodeLoads, f: int, lane: int, threads: int
 ) -> None:
     """Find the loads of the present contact that keep the displacements of its nodes.
 
     A node joins without a load: the others displaced it before. The others take over the loads of
-    nodes that leave. `load` (F, 2, N), N, are the loads of the last contact.
+    nodes that leave.
     """
     inner = (membrane.nx - 2) * (membrane.ny - 2)
     for a in range(lane, 2 * sticking.count[f], threads):
         n = sticking.held[f, a // 2]
         row = 2 * n + a % 2
-        moved = float(0.0)
+        moved = nodes.lag[f, a % 2, node_of(membrane, n)]
         for other in range(inner):
             if sticking.known[f, other] == 0:
                 k = node_of(membrane, other)
-                moved += sticking.compliance[2 * other, row] * load[f, 0, k]
-                moved += sticking.compliance[2 * other + 1, row] * load[f, 1, k]
+                moved += sticking.compliance[2 * other, row] * nodes.load[f, 0, k]
+                moved += sticking.compliance[2 * other + 1, row] * nodes.load[f, 1, k]
         start_from(sticking, f, row, moved)
     find_loads(sticking, f, lane, threads, _CLOSE)
     for n in range(lane, inner, threads):
@@ -189,52 +197,10 @@ def keep_loads(
         for axis in range(2):
             now = float(0.0)
             if sticking.known[f, n] != 0:
-                now = load[f, axis, k] + sticking.loads[f, 2 * n + axis]
-            load[f, axis, k] = now
+                now = nodes.load[f, axis, k] + sticking.loads[f, 2 * n + axis]
+            nodes.load[f, axis, k] = now
+            nodes.lag[f, axis, k] = 0.0
     synchronize()
-
-
-@wp.func
-def load_of(
-    membrane: MembraneGrid,
-    fields: Fields,
-    sticking: Sticking,
-    load: wp.array3d(dtype=float),
-    f: int,
-    slot: int,
-    middle: wp.vec3,
-    lane: int,
-    threads: int,
-) -> wp.vec3:
-    """Return the force along x and y, N, and the torque about the center, N m, of a patch."""
-    total = wp.vec3(0.0, 0.0, 0.0)
-    for a in range(lane, 2 * sticking.count[f], threads):
-        n = sticking.held[f, a // 2]
-        if sticking.known[f, n] == slot + 1:
-            k = node_of(membrane, n)
-            x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
-            for motion in range(3):
-                total[motion] += load[f, a % 2, k] * _rigid(x, middle, motion, a % 2)
-    return wp.vec3(_sum(total[0]), _sum(total[1]), _sum(total[2]))
-
-
-@wp.func
-def fade_loads(
-    membrane: MembraneGrid,
-    sticking: Sticking,
-    load: wp.array3d(dtype=float),
-    f: int,
-    slot: int,
-    left: float,
-    lane: int,
-    threads: int,
-) -> None:
-    """Scale the loads of a patch that slides to the fraction `left`."""
-    for a in range(lane, 2 * sticking.count[f], threads):
-        n = sticking.held[f, a // 2]
-        if sticking.known[f, n] == slot + 1:
-            k = node_of(membrane, n)
-            load[f, a % 2, k] = left * load[f, a % 2, k]
 
 
 @wp.func
@@ -249,38 +215,38 @@ def grip_of(
     middle: wp.vec3,
     lane: int,
     threads: int,
-    unit: wp.array3d(dtype=float),
+    nodes: NodeLoads,
 ) -> wp.mat33:
     """Return the stiffness of a patch: x, y, and rotation about its center. N/m, N, N m/rad.
 
-    Store the loads of the nodes by unit motions in `unit` (F, 6 slots, N).
+    Store the loads by unit motions in `nodes`.
     """
     found = wp.mat33()
     for motion in range(3):
         for k in range(lane, membrane.nx * membrane.ny, threads):
-            unit[f, 6 * slot + 2 * motion, k] = 0.0
-            unit[f, 6 * slot + 2 * motion + 1, k] = 0.0
+            nodes.unit[f, 6 * slot + 2 * motion, k] = 0.0
+            nodes.unit[f, 6 * slot + 2 * motion + 1, k] = 0.0
         for a in range(lane, 2 * sticking.count[f], threads):
             n = sticking.held[f, a // 2]
             k = node_of(membrane, n)
             moved = float(0.0)
             if patch_of(fields, slot_of, f, finger, k) == slot + 1:
                 x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
-                moved = _rigid(x, middle, motion, a % 2)
+                moved = rigid(x, middle, motion, a % 2)
             start_from(sticking, f, 2 * n + a % 2, moved)
         find_loads(sticking, f, lane, threads, _CLOSE)
         total = wp.vec3(0.0, 0.0, 0.0)
         for a in range(lane, 2 * sticking.count[f], threads):
             n = sticking.held[f, a // 2]
             k = node_of(membrane, n)
-            unit[f, 6 * slot + 2 * motion + a % 2, k] = sticking.loads[f, 2 * n + a % 2]
+            nodes.unit[f, 6 * slot + 2 * motion + a % 2, k] = sticking.loads[f, 2 * n + a % 2]
             if patch_of(fields, slot_of, f, finger, k) == slot + 1:
                 x = node_at(membrane, fields.u, f, k // membrane.ny, k % membrane.ny)
                 load = sticking.loads[f, 2 * n + a % 2]
                 for other in range(3):
-                    total[other] += load * _rigid(x, middle, other, a % 2)
+                    total[other] += load * rigid(x, middle, other, a % 2)
         for other in range(3):
-            found[motion, other] = _sum(total[other])
+            found[motion, other] = sum_of(total[other])
         synchronize()
     return 0.5 * (found + wp.transpose(found))
 

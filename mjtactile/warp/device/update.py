@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.contact import MIN_FORCE, Patch, add_up, remember_nodes, stick
+from mjtactile.warp.device.contact import MIN_FORCE, Patch, add_up, move, remember_nodes
 from mjtactile.warp.device.elasticity import mean_tension
 from mjtactile.warp.device.equilibrium import solve
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.lowest_obstacle import any_thin
+from mjtactile.warp.device.node_friction import move_loads, redistribute, rub
 from mjtactile.warp.device.obstacles import CONVEX, PLANE, Geom
 from mjtactile.warp.device.relaxation import synchronize
 from mjtactile.warp.device.sticking import (
+    NodeLoads,
     Sticking,
     about_center,
-    fade_loads,
     grip_of,
     keep_loads,
     list_held,
-    load_of,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -106,16 +106,11 @@ def after_solution(gas: Gas, heat: Heat, f: int, pressure: float, bulge: float) 
 
 @wp.struct
 class States:
-    """Contact memory and results of all membranes (worlds * fingers,).
-
-    `load` (F, 2, N), N, are the loads of the nodes at the last stiffness, `unit` (F, 6 slots, N)
-    those by unit motions of the patches.
-    """
+    """Contact memory and results of all membranes (worlds * fingers,)."""
 
     patches: wp.array2d(dtype=Patch)
     before: wp.array3d(dtype=float)
-    load: wp.array3d(dtype=float)
-    unit: wp.array3d(dtype=float)
+    nodes: NodeLoads
     friction: wp.array(dtype=float)
     wrench: wp.array2d(dtype=float)
     area: wp.array(dtype=float)
@@ -227,15 +222,7 @@ def update_all(
     has_thin = any_thin(membrane, geoms, f)
     list_held(membrane, fields, sticking, sensor_geoms.slots, f, finger, lane)
     if sticking.stale[f] != 0:
-        for k in range(lane, membrane.nx * membrane.ny, threads):
-            for axis in range(2):
-                for slot in range(states.patches.shape[1]):
-                    strain = states.patches[f, slot].strain
-                    for motion in range(3):
-                        by = states.unit[f, 6 * slot + 2 * motion + axis, k]
-                        states.load[f, axis, k] += strain[motion] * by
-        synchronize()
-        keep_loads(membrane, sticking, states.load, f, lane, threads)
+        keep_loads(membrane, sticking, states.nodes, f, lane, threads)
     force = wp.vec3(0.0, 0.0, 0.0)
     torque = wp.vec3(0.0, 0.0, 0.0)
     largest = float(0.0)
@@ -263,13 +250,6 @@ def update_all(
             p_SB = wp.transpose(R) @ (xpos[world, body] - p)
             last = states.patches[f, slot]
             grip = about_center(last.grip, patch.middle - last.middle)
-            patch.base = last.base
-            patch.strain = last.strain
-            if sticking.stale[f] != 0:
-                patch.strain = wp.vec3(0.0, 0.0, 0.0)
-                patch.base = load_of(
-                    membrane, fields, sticking, states.load, f, slot, patch.middle, lane, threads
-                )
             if patch.normal > MIN_FORCE and states.friction[f] > 0.0:
                 if sticking.stale[f] != 0 or last.grip[0, 0] <= 0.0:
                     grip = grip_of(
@@ -283,20 +263,42 @@ def update_all(
                         patch.middle,
                         lane,
                         threads,
-                        states.unit,
+                        states.nodes,
                     )
-            now = stick(membrane, grip, last, patch, states.friction[f], R_SB, p_SB)
+            now = move(grip, last, patch, R_SB, p_SB)
+            move_loads(membrane, sticking, states.nodes, now.along, f, slot, lane, threads)
+            synchronize()
+            if lane == 0:
+                states.patches[f, slot] = now
+            synchronize()
+    friction = states.friction[f]
+    redistribute(
+        membrane, fields, states.patches, sticking, states.nodes, friction, f, lane, threads
+    )
+    for slot in range(sensor_geoms.bodies.shape[1]):
+        if sensor_geoms.bodies[finger, slot] >= 0:
+            now = rub(
+                membrane,
+                fields,
+                states.patches,
+                sticking,
+                states.nodes,
+                friction,
+                f,
+                slot,
+                lane,
+                threads,
+            )
             force += now.force
             torque += now.torque
             area += now.area
             if now.normal > largest:
                 largest = now.normal
                 main = now
-            if now.slides != 0:
-                fade_loads(membrane, sticking, states.load, f, slot, now.left, lane, threads)
             synchronize()
             if lane == 0:
                 states.patches[f, slot] = now
+            synchronize()
     remember_nodes(membrane, fields, states.before, f, lane, threads)
     if lane == 0:
         after_solution(gas, heat, f, fields.pressure[f], fields.volume[f])
@@ -334,7 +336,8 @@ def reset_worlds(
             fields.kept[f, c, k] = at
             states.before[f, c, k] = 0.0
         for c in range(2):
-            states.load[f, c, k] = 0.0
+            states.nodes.load[f, c, k] = 0.0
+            states.nodes.lag[f, c, k] = 0.0
         fields.force[f, k] = 0.0
         fields.kept_force[f, k] = 0.0
         if k == 0:
