@@ -63,21 +63,26 @@ class Physics:
     def assign(self, other: Physics) -> None:
         """Copy the state of `other`."""
         for name, kind in _STATE.items():
-            to, source = getattr(self, name), getattr(other, name)
-            for variable in _arrays(kind):
-                wp.copy(getattr(to, variable), getattr(source, variable))
+            _assign(kind, getattr(self, name), getattr(other, name))
 
 
-def _arrays(kind: Any) -> list[str]:
-    return [name for name, variable in kind.vars.items() if isinstance(variable.type, wp.array)]
+def _assign(kind: Any, to: Any, source: Any) -> None:
+    for name, variable in kind.vars.items():
+        if isinstance(variable.type, wp.array):
+            wp.copy(getattr(to, name), getattr(source, name))
+        elif hasattr(variable.type, "vars"):  # a struct
+            _assign(variable.type, getattr(to, name), getattr(source, name))
 
 
 def _copy(kind: Any, source: Any) -> Any:
     made = kind()
-    for name in kind.vars:
-        setattr(made, name, getattr(source, name))
-    for name in _arrays(kind):
-        setattr(made, name, wp.clone(getattr(source, name)))
+    for name, variable in kind.vars.items():
+        value = getattr(source, name)
+        if isinstance(variable.type, wp.array):
+            value = wp.clone(value)
+        elif hasattr(variable.type, "vars"):
+            value = _copy(variable.type, value)
+        setattr(made, name, value)
     return made
 
 
