@@ -75,6 +75,19 @@ def test_a_contact_that_grows_keeps_its_shear():
     assert after[0] == pytest.approx(before[0], rel=0.03)
 
 
+def test_partial_slip_softens_a_dragged_ball_as_on_the_mesh():
+    """Nodes at the edge slip first. The reference is a mesh of 33 x 25 vertices, N."""
+    world = PressWorld(DENSE, Indenter("sphere", 0.01), effects=QUASISTATIC)
+    world.inflate(1000.0, seal=True)
+    assert world.press(1.5e-3)
+    force = []
+    for shear in (1e-4, 2e-4, 4e-4):
+        assert world.press(1.5e-3, shear, speed=0.02)
+        force.append(ground_truth.contact_force(world, 0)[0])
+    # 21 x 16 nodes; without partial slip 0.107 N at the second
+    assert np.abs(force) == pytest.approx([0.0475, 0.0878, 0.1567], rel=0.08)
+
+
 def test_sliding_distance_is_that_of_the_ball():
     world = pressed(QUASISTATIC, 1.5e-3, shear=2e-3)
     before = world.sensors[0].slid
@@ -172,7 +185,8 @@ def membrane_interval(add, gap, timestep=2e-3, seconds=1.0):
 @pytest.mark.parametrize(
     ("mass", "gap"),
     # grips of about 0.25 to 3 N; 5 g turn by themselves at sqrt(k/m) h above 2
-    [(0.005, 0.0232), (0.02, 0.0222), (0.05, 0.0212), (0.3, 0.0149)],
+    # the heaviest uses about 0.9 of its friction
+    [(0.005, 0.0232), (0.02, 0.0222), (0.05, 0.0212), (0.3, 0.0145)],
 )
 def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     world = membrane_interval(ball_of(0.01, mass), gap)
@@ -243,8 +257,8 @@ def test_forces_of_the_user_stay():
     assert world.data.qpos[2] > height + 1e-5
     world.data.qfrc_applied[2] = 0.0
     world.step(100)
-    # sticking is elastic: nothing of 34 um remains
-    assert world.data.qpos[2] == pytest.approx(height, abs=3e-7)
+    # the sudden release overshoots: nodes at the edge slip; of 34 um, a fifth may remain
+    assert world.data.qpos[2] == pytest.approx(height, abs=7e-6)
 
 
 def test_what_a_membrane_cannot_rest_on_is_refused():
