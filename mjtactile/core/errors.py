@@ -62,7 +62,15 @@ class InputError(MjtactileError):
         super().__init__(_shortened(text))
 
     def at(self, field: str, source: object = None) -> InputError:
-        """Return the same error of the value at another place: a file's field, or an option."""
+        """Return the same error of the value at another place.
+
+        Args:
+            field: The field in the file, or the option.
+            source: The file; None: an option.
+
+        Returns:
+            The error.
+        """
         message, choices = self._stated
         return InputError(message, source=source, field=field, choices=choices)
 
