@@ -204,6 +204,18 @@ def test_the_gripper_follows_the_path_of_the_task(rig):
     assert schedule.due() == math.inf
 
 
+def test_a_path_that_ends_elsewhere_has_the_stand_there_too():
+    """The cup of an egg is at the start and, by the path, at its end; none after a way back."""
+    away = GripperPath.of([Segment(0.0, 0.2, 0.0, 0.0, 0.3, 2.0, 0.0)])
+    world = GraspWorld("paper16", "egg", mesh=MESH, path=away)
+    offset = world.model.body("place/cup").pos - world.model.body("object/cup").pos
+    np.testing.assert_allclose(offset, [0.0, 0.2, 0.0] @ path_axes(world.start), atol=1e-9)
+    back = GripperPath.of([Segment(0.0, 0.05, 0.0, 0.0, 0.3, 2.0, 0.0)])
+    near = GraspWorld("paper16", "egg", mesh=MESH, path=back)
+    names = [near.model.body(body).name for body in range(near.model.nbody)]
+    assert "object/cup" in names and "place/cup" not in names
+
+
 def fingertips(world):
     return np.mean([world.data.xpos[sensor.body_id] for sensor in world.sensors], axis=0)
 

@@ -20,14 +20,14 @@ from mjtactile.core.gripper_path import GripperPath
 from mjtactile.core.task import SampledDisturbance
 from mjtactile.core.types import Array
 from mjtactile.sim.scenes.initial_state import path_axes
-from mjtactile.sim.scenes.objects import PREFIX, moving_bodies
+from mjtactile.sim.scenes.objects import PLACE_PREFIX, PREFIX, moving_bodies
 
 if TYPE_CHECKING:
     from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 UP = 0.9
 """Fraction of the commanded lift height at which the gripper counts as lifted."""
-_PREFIXES = (PREFIX, "table/")
+_PREFIXES = (PREFIX, PLACE_PREFIX, "table/")
 TAKEN_TIME = 0.02  # time to stop an object taken by a person, s: within 8 mm at 0.4 m/s
 _HOLDS = 2  # minimum number of fingers of a grip; contact with a single finger does not hold
 _FASTER = 2.0  # upper bound of the rising speed, as a multiple of the lift speed

@@ -17,8 +17,8 @@ from mjtactile.core.task import SampledDisturbance
 from mjtactile.rig.file import load_sim_rig
 from mjtactile.rig.simulated import SimRigFile
 from mjtactile.sim.scenes.gripper_world import DEFAULT_TIMESTEP, GripperWorld
-from mjtactile.sim.scenes.initial_state import Start
-from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, load_object
+from mjtactile.sim.scenes.initial_state import Start, path_axes
+from mjtactile.sim.scenes.objects import PREFIX, ObjectModel, add_object, add_supports, load_object
 from mjtactile.sim.scenes.second_object import add_second_object, second_object
 from mjtactile.sim.scenes.strain import SoftSolid, soft_flex
 from mjtactile.sim.scenes.world import require_clear
@@ -26,6 +26,9 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS
 
 _STRAINED = 0.2
 """Compression from which rubber is stiffer than linear elements by 27 % and more."""
+
+_APART = 0.1
+"""Minimum distance, m, of a place with its own copy of the object's stand."""
 
 _OBLIQUE = 5.0  # degrees; membranes follow smaller angles
 
@@ -68,6 +71,11 @@ class GraspWorld(GripperWorld):
         def furnish(spec: mujoco.MjSpec, start: Start) -> None:
             centre = start.centre
             add_object(spec, self.object, _pose_at(start, object_pose), height=rig.table_height)
+            if path is not None and max(np.abs(path.at(path.end)[:2])) > _APART:
+                end = np.append(path.at(path.end)[:2], 0.0) @ path_axes(start)
+                x, y, yaw = _pose_at(start, object_pose)
+                place = x + float(end[0]), y + float(end[1]), yaw
+                add_supports(spec, self.object, place, height=rig.table_height)
             if stacked is not None:
                 add_second_object(spec, self.object, stacked, centre)
 

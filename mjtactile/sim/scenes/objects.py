@@ -46,6 +46,8 @@ NUMERICS = (
 )
 PREFIX = "object/"
 """Names of the object's file carry this prefix in the scene."""
+PLACE_PREFIX = "place/"
+"""Names of the supports at the end of a path carry this prefix."""
 SOFT_ITERATIONS = 2000
 """Maximum solver iterations of a membrane with finite elements; 100 is usual."""
 
@@ -173,6 +175,24 @@ def add_object(
     scene.attach(spec, frame=frame, prefix=PREFIX)
     if model.flex_material is not None:
         scene.option.iterations = max(scene.option.iterations, SOFT_ITERATIONS)
+
+
+def add_supports(
+    scene: mujoco.MjSpec, model: ObjectModel, pose: tuple[float, float, float], height: float = 0.0
+) -> None:
+    """Add the static MuJoCo bodies of the object's file (a cup, a stand) at another place.
+
+    `pose` and `height` are those of `add_object`; names have the prefix "place/".
+    """
+    x, y, yaw = pose
+    frame = scene.worldbody.add_frame(
+        pos=[x, y, height], quat=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+    )
+    spec = read_spec(model)
+    change(spec, model.changes)
+    for body in spec.worldbody.bodies:
+        if body.name != "object" and not body.joints:
+            frame.attach_body(body, PLACE_PREFIX, "")
 
 
 def with_liquid(model: ObjectModel, level: float) -> ObjectModel:
