@@ -70,6 +70,7 @@ START = {f"{clock}_time": 0.0 for clock in ("pull", "wait", "test", "slip")} | {
     "frames": vars(FrameLoadEstimator()),
     "friction": vars(FrictionFilter()),
     "risk": LOW_RISK,
+    "stands": False,
 }
 
 
@@ -125,20 +126,23 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
     )
 
 
+def _grip_force(forces: list[float]) -> float:
+    """Return the force, N, that is regulated: one finger that pushes the object does not grip."""
+    return min(sum(forces) / len(forces), 2 * max(min(forces), 0.0))
+
+
 def _regulated(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Move the opening so that the mean measured force reaches the target.
+    """Move the opening so that the measured grip force reaches the target.
 
     A larger target (or a tested smaller one) changes the opening immediately. The remaining error
     is regulated relative to the target one delay ago. The command stays close to the actual
     opening.
     """
     memory = command.memory
-    force = sum(forces) / len(forces)
+    force = _grip_force(forces)
     spring = _stored(GripStiffnessEstimator, command)
     if min(forces) > TOUCH_FORCE / 2:
         spring = spring.after(observation.gripper.opening, force, observation.period)
-    else:
-        force = 0.0  # one finger that pushes the object against its stand does not grip
     before = observation.command.memory.get("target", MIN_FORCE)
     step = spring.way(before, memory["target"])
     if memory["risk"] != TEST_RISK:
@@ -152,11 +156,24 @@ def _regulated(observation: Observation, command: Command, forces: list[float]) 
     return phases.remember(replace(command, opening=opening), due=due, spring=vars(spring))
 
 
+def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:
+    """Close until both fingers have contact. The jaws stop at the first contact of each."""
+    after = phases.approach(
+        observation,
+        command,
+        forces,
+        speed=CLOSING_SPEED,
+        contact_force=TOUCH_FORCE,
+        max_force=MAX_PUSH,
+    )
+    stops = after.phase in ("close", "regulate") and after.phase != command.phase
+    return replace(after, opening=observation.gripper.opening) if stops else after
+
+
 def _regulate(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Bring the force to the first target."""
     command = _regulated(observation, command, forces)
-    is_settled = abs(sum(forces) / len(forces) - command.memory["target"]) < FORCE_TOLERANCE
-    is_settled &= min(forces) > TOUCH_FORCE / 2
+    is_settled = abs(_grip_force(forces) - command.memory["target"]) < FORCE_TOLERANCE
     return phases.settle(observation, command, is_settled, SETTLE_TIME)
 
 
@@ -164,7 +181,7 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
     """Lift slowly until the fingers carry the load and the grip force has followed; then faster."""
     command = _regulated(observation, command, forces)
     target = command.memory["target"]
-    grip = sum(forces) / len(forces)
+    grip = _grip_force(forces)
     load = _stored(LoadEstimator, command)
     waits = target - grip > min(FORCE_TOLERANCE, 0.1 * target)
     # faces that the fingers only drag along themselves slip without a load
@@ -231,14 +248,14 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     settled_time = command.memory["settled_time"] + observation.period if height == goal else 0.0
     if is_standing:  # the gripper stops here
         height = max(0.0, observation.gripper.lift_height)
-    command = phases.remember(replace(command, lift_height=height), settled_time=settled_time)
+    is_sure = is_standing and command.memory["stands"]  # one image may have an error
+    command = phases.remember(
+        replace(command, lift_height=height), settled_time=settled_time, stands=is_standing
+    )
     is_down = settled_time > SETTLE_TIME  # the lift has followed
-    return phases.start_release(command) if is_standing or is_down else command
+    return phases.start_release(command) if is_sure or is_down else command
 
 
-_approach = partial(
-    phases.approach, speed=CLOSING_SPEED, contact_force=TOUCH_FORCE, max_force=MAX_PUSH
-)
 PHASES = {
     "approach": _approach,
     "close": _approach,

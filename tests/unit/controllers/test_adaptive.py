@@ -181,6 +181,38 @@ def test_it_sets_down_where_the_table_takes_the_load(load):
     assert 0.017 - load / 200 - 0.002 < down.lift_height < 0.0175
 
 
+def test_one_image_without_load_is_not_the_table():
+    """An error of one image does not release the object in the air."""
+    command, goal = holding(0.2)
+    command = replace(command, phase="lower")
+    lowered = run(command, lambda k, c: (finger(0.0 if k == 3 else 0.2, normal=0.4),) * 2, 12, goal)
+    assert lowered.phase == "lower"
+
+
+def test_the_jaws_stop_at_the_first_contact():
+    """They lag behind the command by 2 mm, which would compress a stiff object further."""
+    state = GripperState(0.042, -0.02, 0.4, 0.0)
+    moving = Command(0.040, 5.0, 0.0, "approach")
+    for forces, phase in (((0.2, 0.0), "close"), ((0.2, 0.2), "regulate")):
+        touch = tuple(finger(0.0, normal=force) for force in forces)
+        command = step(Observation(0.0, PERIOD, touch, state, (), moving, TaskGoal()))
+        assert command.phase == phase
+        assert command.opening == state.opening
+
+
+def test_a_heavy_object_that_stands_off_center_is_lifted():
+    """The table holds it against one finger, which pushes with 0.5 N, the other with 0.08 N.
+
+    The force of the weaker finger counts: half of the first target of 0.18 N, within its
+    tolerance.
+    """
+    lagging = Command(0.04, 5.0, 0.0, "regulate")
+    pushed = lambda k, c: (finger(0.0, normal=0.5), finger(0.0, normal=0.08))  # noqa: E731
+    assert run(lagging, pushed, 15).phase == "lift"
+    alone = lambda k, c: (finger(0.0, normal=0.5), finger(0.0, normal=0.01))  # noqa: E731
+    assert run(lagging, alone, 15).phase == "regulate"
+
+
 def test_what_is_not_known_stops_it():
     command, goal = holding(0.2)
     blind = replace(finger(0.2), force_normal=math.nan, traction=None, status="too dark")
