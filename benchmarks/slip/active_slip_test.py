@@ -24,16 +24,9 @@ STAYS = 0.7  # relative shear response to the grip: no slip if smaller by two sd
 _ARM = 3e-3  # lever arm in a contact, m, that converts a torque about its normal to a force
 
 
-def states(samples: Sequence[Sample]) -> list[str]:
-    """Classify each image as "slipping" or "sticking", from the images of the last 0.3 s alone."""
-    signs = [
-        sample.touch.slip is not None and sample.touch.slip.state == "slipping"
-        for sample in samples
-    ]
-    return [
-        "slipping" if sign and not sticks(found) else "sticking"
-        for sign, found in zip(signs, followings(samples), strict=True)
-    ]
+def vetoes(samples: Sequence[Sample]) -> list[bool]:
+    """Return, for each image, True if the images of the last 0.3 s exclude slip."""
+    return [sticks(found) for found in followings(samples)]
 
 
 def followings(samples: Sequence[Sample]) -> list[SlipTestResult]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.scenes.slip_cases import SlipCase
 from benchmarks.scenes.slip_world import SlipWorld
+from benchmarks.slip.operating_curve import ScaledDetectors
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.flags import Flags
 from mjtactile.core.types import Touch
@@ -32,7 +33,7 @@ class Sample:
 
     The true values are `force`, N, and `used`, the fraction of the friction limit. `slid`, m, is
     the sliding distance since the whole contact began to slide (0 before), at `onset`, s (NaN: not
-    yet).
+    yet). `signs` states, for each scale of the operating curve, if the image shows slip.
     """
 
     time: float
@@ -41,6 +42,7 @@ class Sample:
     used: float
     slid: float
     onset: float
+    signs: tuple[bool, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +111,7 @@ def watch(
     renderers = [Renderer(design, seed=2 * case.seed + k) for k in range(2)]
     states = [rest, rest]
     sliders = (_Slider(), _Slider())
+    detectors = (ScaledDetectors(sensing_pipeline), ScaledDetectors(sensing_pipeline))
     fingers: tuple[list[Sample], list[Sample]] = ([], [])
     period = round(1 / (design.camera.rate * world.timestep))
 
@@ -118,11 +121,11 @@ def watch(
         for k, (renderer, slider) in enumerate(zip(renderers, sliders, strict=True)):
             image = renderer.render(*world.marker_poses(k), world.time)
             touch, states[k] = sensing_pipeline.step(states[k], image, world.time)
+            signs = detectors[k].detect(touch, states[k])
             if keep:
                 used, _ = ground_truth.sliding(world, k)
-                fingers[k].append(
-                    Sample(world.time, touch, world.press(k), used, slider.slid, slider.onset)
-                )
+                true = (world.press(k), used, slider.slid, slider.onset)
+                fingers[k].append(Sample(world.time, touch, *true, signs))
 
     for _ in world.grip():
         see(keep=False)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scenes.slip_cases import SlipCase, sample_slip_case
-from benchmarks.slip import active_slip_test
-from benchmarks.slip.evaluate_case import Watched, references, watch
+from benchmarks.slip import active_slip_test, operating_curve
+from benchmarks.slip.evaluate_case import Sample, Watched, references, watch
 from benchmarks.slip.score import OUTCOMES, SLIPS, Frame, outcome
 from mjtactile.core.design import SensorDesign, load_sensor
 from mjtactile.core.errors import InputError, SimulationError
@@ -89,7 +89,7 @@ def run(
     result = summary(rows.get("passive", []), at) | {"rate_Hz": at}
     if "tested" in rows:
         result["with_test"] = with_test(rows["tested"])
-    plot(rows.get("passive", []), Path(out) / "slip.png")
+    plot(result, Path(out) / "slip.png")
     return result
 
 
@@ -103,6 +103,7 @@ def with_test(rows: Sequence[Row]) -> dict[str, Any]:
     kinds = sorted({row["case"] for row in slips})
     return {
         "rows": list(rows),
+        "curve": operating_curve.curve(evaluated, active_slip_test.IN_TIME),
         "slips": len(slips),
         "in_time": in_time,
         "in_time_interval": wilson(in_time, len(slips)),
@@ -146,16 +147,15 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
     """Return one row for each finger."""
     rows = []
     for name, friction, samples in zip(_FINGERS, case.friction, watched.fingers, strict=True):
-        sensing_pipeline = [
-            sample.touch.slip.state if sample.touch.slip else "unknown" for sample in samples
+        excluded = active_slip_test.vetoes(samples) if test else [False] * len(samples)
+        frames = [
+            Frame(k.time, "sticking" if no else _state(k), k.used, k.slid, k.onset)
+            for k, no in zip(samples, excluded, strict=True)
         ]
-        states = active_slip_test.states(samples) if test else sensing_pipeline
-        found = outcome(
-            [
-                Frame(k.time, state, k.used, k.slid, k.onset)
-                for k, state in zip(samples, states, strict=True)
-            ]
-        )
+        signs = [
+            [sign and not no for sign in k.signs] for k, no in zip(samples, excluded, strict=True)
+        ]
+        found = outcome(frames)
         rows.append(
             {
                 "seed": case.seed,
@@ -169,9 +169,15 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
                 "slid_mm": 1e3 * found.slid,
                 "speed_mm_s": 1e3 * found.speed,
                 "flags": sorted(watched.flags),
+                "seconds": samples[-1].time - samples[0].time,
+                "scales": [asdict(one) for one in operating_curve.alarms(frames, signs)],
             }
         )
     return rows
+
+
+def _state(sample: Sample) -> str:
+    return sample.touch.slip.state if sample.touch.slip else "unknown"
 
 
 @cache
@@ -200,6 +206,7 @@ def summary(rows: Sequence[Row], rate: float = RATES[0]) -> dict[str, Any]:
     false = holds.count("false") + sum(row["outcome"] == "early" for row in groups["all slips"])
     return {
         "rows": rows,
+        "curve": operating_curve.curve(evaluated),
         "cases": len({row["seed"] for row in rows}),
         "not_simulated": sum(row["outcome"] == "not simulated" for row in rows),
         "between": sum(row["outcome"] == "between" for row in evaluated),
@@ -283,14 +290,29 @@ def table(result: Mapping[str, Any]) -> str:
         lines.append(
             f"| {name} | {counts} | {f'{reported[0]} of {reported[1]}' if reported else ''} |"
         )
-    return "\n".join(lines) + "\n"
+    lines += ["", operating_curve.table(result["curve"], test["curve"] if test else [])]
+    return "\n".join(lines)
 
 
-def plot(rows: Sequence[Row], path: Path) -> None:
-    """Plot the latency of each detected slip over its speed, and the outcomes by kind of case."""
-    if (figure := new_figure(path.name, (9.6, 4.2))) is None:
+def plot(result: Mapping[str, Any], path: Path) -> None:
+    """Plot the latency of each detected slip over its speed, the outcomes by kind of case, and the
+    operating curves."""
+    if (figure := new_figure(path.name, (13.2, 4.2))) is None:
         return
-    left, right = figure.subplots(1, 2)
+    left, right, curves = figure.subplots(1, 3)
+    for name, points in (
+        ("passive", result["curve"]),
+        ("active test", result.get("with_test", {}).get("curve", [])),
+    ):
+        curves.plot(
+            [point["per_minute"] for point in points],
+            [100 * point["in_time"] for point in points],
+            "o-",
+            label=name,
+        )
+    curves.set(xlabel="false alarms per minute of hold", ylabel="slips in time [%]", ylim=(0, 100))
+    curves.legend()
+    rows = result["rows"]
     slips = [row for row in rows if row["outcome"] in SLIPS]
     for name, color in (
         ("in time", "#1f5fa8"),

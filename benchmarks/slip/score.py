@@ -33,7 +33,7 @@ OUTCOMES = (
     "between",
 )
 SLIPS = OUTCOMES[:6]
-_ROUNDING = 1e-6  # rounding tolerance of the time limit, s
+ROUNDING = 1e-6  # rounding tolerance of the time limit, s
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def outcome(frames: Sequence[Frame]) -> Outcome:
     if latency < -IN_TIME and detected.used < MAX_USED_EARLY:
         return Outcome("early", latency, detected.slid, speed)
     in_distance = detected.slid < SLIP
-    in_time = latency <= IN_TIME + _ROUNDING
+    in_time = latency <= IN_TIME + ROUNDING
     name = {
         (True, True): "in time",
         (True, False): "before 0.5 mm",
