@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from dataclasses import dataclass
+from mimetypes import MimeTypes
 from pathlib import Path
 
 from mjtactile import InputError
@@ -110,10 +111,7 @@ def run(options: argparse.Namespace) -> int:
     source = Path(template) if random else _shipped(kind, template)
     if options.name.name in ("", ".."):
         raise InputError("is a folder, not the name of a new file", source=options.name)
-    if options.name.suffix == kind.suffix:
-        path = options.name
-    else:
-        path = options.name.with_name(options.name.name + kind.suffix)
+    path = _path(options.name, options.kind)
     text = random or source.read_text(encoding="utf-8")
     if kind.name:
         text = re.sub(kind.name, rf'\1"{path.stem}"', text, count=1)
@@ -140,6 +138,18 @@ def run(options: argparse.Namespace) -> int:
         f"  mjtactile docs {page}",
     )
     return 0
+
+
+def _path(name: Path, kind: str) -> Path:
+    """Return the path of a file of that kind. A dot in a name is allowed (`v1.2`). Raises
+    InputError for the suffix of another type of file."""
+    suffix = KINDS[kind].suffix
+    if name.suffix == suffix:
+        return name
+    is_own = name.suffix in {other.suffix for other in KINDS.values()}
+    if is_own or MimeTypes(filenames=()).guess_type(name.name)[0]:
+        raise InputError(f"a file of kind {kind!r} ends in {suffix}", source=name)
+    return name.with_name(name.name + suffix)
 
 
 def _random(template: str) -> str | None:

@@ -125,11 +125,18 @@ def test_nothing_is_overwritten(command, tmp_path):
         (("new", "gripper", "x"), ["gripper", "controller", "rig"]),
         (("new", "sensor", "x", "--template", "egg"), ["--template", "egg", "dense", "paper16"]),
         (("new", "sensor", "no/such/x"), ["no/such/x.toml", "cannot be written"]),
+        (("new", "controller", "x.txt"), ["x.txt", "'controller' ends in .py"]),
+        (("new", "sensor", "x.xml"), ["x.xml", "'sensor' ends in .toml"]),
         (("docs", "nothing"), ["nothing", "reference/sensor_files", "how-to/controllers"]),
     ],
 )
 def test_bad_usage(command, args, words):
     assert_one_line(command(*args), words)
+
+
+def test_a_name_may_have_a_dot(command, tmp_path):
+    assert command("new", "sensor", "v1.2").returncode == 0
+    assert (tmp_path / "v1.2.toml").exists()
 
 
 @pytest.mark.parametrize("name", [".", "/"])
