@@ -310,7 +310,17 @@ def plot(result: Mapping[str, Any], path: Path) -> None:
             "o-",
             label=name,
         )
+        for point in points:  # the scale of the limits; 1 is the pipeline
+            place = point["per_minute"], 100 * point["in_time"]
+            curves.annotate(
+                f"{point['scale']:g}",
+                place,
+                (2, -9),
+                textcoords="offset points",
+                fontsize="x-small",
+            )
     curves.set(xlabel="false alarms per minute of hold", ylabel="slips in time [%]", ylim=(0, 100))
+    curves.set_title("limits of the evidence, relative: 1 is the pipeline", fontsize="small")
     curves.legend()
     rows = result["rows"]
     slips = [row for row in rows if row["outcome"] in SLIPS]
