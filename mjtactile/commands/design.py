@@ -251,7 +251,7 @@ def _print_file(result: dict[str, Any]) -> None:
     print(f"sensor {result['sensor']}, predicted for contacts of {result['force_N']:g} N:")
     for key, (words, unit) in plots.WORDS.items():
         print(f"  {words:50s} {plots.number(result['performance'][key]):>7s} {unit}")
-    print(f"  {plots.image_quality_text(result['picture'])}")
+    print(f"  {plots.image_quality_text(result['image'])}")
     print("Effect of changes, as a factor on the present value:")
     print(f"  {'':58s}" + "".join(f"{words:>15s}" for words in plots.CHANGED.values()))
     for change, *factors in plots.change_rows(result):

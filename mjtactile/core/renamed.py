@@ -185,6 +185,8 @@ def explain_option(message: str, command: str) -> str:
     """Return the parser's error, with the new name of an old option, command or benchmark in place
     of the list of choices. An option may have another new name in `command`."""
     problem = message.partition(" (choose")[0]
+    if not re.search("invalid choice|unrecognized|ambiguous", problem):  # its words are no names
+        return message
     for word in re.findall(r"(?<![\w-])-{0,2}[a-z][\w-]*", problem):
         if new := OPTIONS.get(f"{command} {word}", OPTIONS.get(word)):
             return f"{problem}: `{word}` is now `{new}`"

@@ -51,6 +51,14 @@ def test_an_old_option_is_refused_with_the_new_one(capsys, words, text):
     assert text in line
 
 
+def test_words_about_an_invalid_value_are_no_old_names(capsys):
+    words = ["press", "--indenter", "sphere:4", "--position-mm", "3"]  # `numbers` was a benchmark
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert "'3' is not a pair of numbers X,Y" in line
+    assert " is now " not in line
+
+
 def test_a_line_of_an_old_recording_is_translated():
     row = {
         "kind": "cycle",

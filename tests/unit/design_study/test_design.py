@@ -293,9 +293,10 @@ def fewer_loads(monkeypatch):
 
 @pytest.mark.slow(10)
 def test_a_requirement_becomes_sensor_files(tmp_path, capsys, fewer_loads):
-    options = ["--sensor", "paper16", "--edge-mm", "0.3", "--count", "1", "--json"]
+    options = ["--sensor", "paper16", "--edge-mm", "0.3", "--count", "1"]
     assert main(["design", *options, "--out", str(tmp_path / "out")]) == 0
-    result = json.loads(capsys.readouterr().out)
+    assert "Predicted for contacts of 0.5 N" in capsys.readouterr().out
+    result = json.loads((tmp_path / "out" / "design.json").read_text())
     assert len(result["candidates"]) + result["refused_by_fabricate"] == 1
     assert any(one["on_front"] for one in result["candidates"])
     for best in result["best"]:
@@ -310,9 +311,12 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads)
     monkeypatch.setattr(predict_file, "_SPACING", 20e-3)
     variants = predict_file.variants
     monkeypatch.setattr(predict_file, "variants", lambda *words: list(variants(*words))[:1])
-    assert main(["design", "--sensor", "paper16", "--json", "--out", str(tmp_path / "out")]) == 0
-    result = json.loads(capsys.readouterr().out)
+    assert main(["design", "--sensor", "paper16", "--out", str(tmp_path / "out")]) == 0
+    text = capsys.readouterr().out
+    result = json.loads((tmp_path / "out" / "design.json").read_text())
     assert {"design.json", "design.html"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    outside = 100 * (1 - result["image"]["width_used"])
+    assert f"{outside:.0f} % of the image width" in text
     # the frame's corners are drawn 533 px apart of 640
     assert result["image"]["width_used"] == pytest.approx(533 / 640, abs=0.02)
     center = next(one for one in result["face"] if one["x_mm"] == one["y_mm"] == 0)
