@@ -73,7 +73,7 @@ int64_t border_moments(int64_t n, const int64_t *counts, int64_t all, const int3
 }
 
 /* Return 1 if a border is far from its own ellipse. A cut border has another limit. */
-static int is_odd(double misfit, int cut, double b, const MarkerSettings *s) {
+static int is_misfit(double misfit, int cut, double b, const MarkerSettings *s) {
     return misfit >= s->max_border_misfit + (cut ? s->border_misfit_fraction_cut : s->border_misfit_fraction) * b;
 }
 
@@ -87,7 +87,8 @@ int64_t check_borders(int64_t n, const double *shapes, const double *misfit, con
     for (int64_t i = 0; i < n; i++) {
         double a, b;
         axes_of(shapes + 3 * i, &a, &b);
-        status[i] = b < min_radius ? SMALL : b <= s.min_border_axes * a ? LONG : is_odd(misfit[i], (int)cut[i], b, &s) ? NOT_ELLIPSE : OK;
+        const int misfits = is_misfit(misfit[i], (int)cut[i], b, &s);
+        status[i] = b < min_radius ? SMALL : b <= s.min_border_axes * a ? LONG : misfits ? NOT_ELLIPSE : OK;
         if (status[i] == OK) size[fits++] = sqrt(a * b);
     }
     if (fits >= s.min_peers) {
@@ -126,7 +127,7 @@ static Fit fit_of(int64_t i, int64_t n, const double *centers, const double *sha
     return f;
 }
 
-static int trust(const Fit *f, double usual, const MarkerSettings *s) {
+static int fit_status(const Fit *f, double usual, const MarkerSettings *s) {
     int status = OK;
     if (f->contrast < s->min_contrast * f->noise || f->shape_sd > s->max_shape_sd) status = LOW_CONTRAST;
     if (f->residual > s->max_residual * f->contrast) status = NOT_ELLIPSE;
@@ -154,7 +155,7 @@ static int check_fit(const Fit *f, int status, double common, int64_t height, in
     int cut = reaches_border(f, height, width, s->min_edge_distance) || f->cut;
     if (cut) status = CUT;
     axes_of(f->start_shape, &odd_a, &odd_b);
-    int odd = is_odd(f->misfit, f->cut, odd_b, s) && !cut;
+    int odd = is_misfit(f->misfit, f->cut, odd_b, s) && !cut;
     if (odd) status = GLARE;
     double way = hypot(f->center[0] - f->start[0], f->center[1] - f->start[1]);
     int drop = 0;
@@ -208,7 +209,7 @@ int64_t check_fits(int64_t n, const double *centers, const double *shapes, const
     double usual = n ? upper_median(some, n) : 0;
     int64_t good = 0;
     for (int64_t i = 0; i < n; i++) {
-        status[i] = trust(fits + i, usual, &s);
+        status[i] = fit_status(fits + i, usual, &s);
         if (status[i] == OK) some[good++] = fits[i].blur;
     }
     /* blur is a property of the image; its scatter is mostly fit error */

@@ -103,7 +103,7 @@ static double sum_of_products(const float *restrict a, const float *restrict b, 
 }
 
 /* Compute weights 1/(1 + (r/c)^4); see `_robust` in sensing/image/edge_fit.py. */
-static void weigh(const Pixels *p, const double *theta, const Settings *s) {
+static void update_weights(const Pixels *p, const double *theta, const Settings *s) {
     double rms = sqrt(sum_of_products(p->residual, p->residual, p->count) / p->count);
     double c = max_of(max_of(s->outlier_residuals * rms, s->outlier_fraction * fabs(theta[5] - theta[6])), 1e-3);
     float over = (float)(1 / c), *restrict weight = p->weight;
@@ -161,7 +161,7 @@ static void solve(double H[N][N], const double *right, double *x) {
 
 /* Take one damped Gauss-Newton step, limited so that a bad start cannot run away. Return the largest
    change of center and shape, px. */
-static double advance(double *theta, double H[N][N], const double *right) {
+static double take_step(double *theta, double H[N][N], const double *right) {
     double x[N], new[N], size = 0, moved = 0;
     int finite = 1;
     solve(H, right, x);
@@ -182,11 +182,11 @@ static double iterate(const Pixels *p, double *theta, const Settings *s, int rob
     Edge e = edge_of(theta);
     if (s->small != 0) evaluate(p, &e, 1);
     else evaluate(p, &e, 0);
-    if (robust) weigh(p, theta, s);
+    if (robust) update_weights(p, theta, s);
     else
         for (int64_t k = 0; k < p->count; k++) p->weight[k] = 1;
     normal(p, theta, s, weighted, H, right);
-    return advance(theta, H, right);
+    return take_step(theta, H, right);
 }
 
 int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts, const float *x, const float *y, const float *observed,

@@ -58,7 +58,7 @@ static void kept_rows(Lines *l, double *rows[KEPT]) {
     memcpy(rows, own, sizeof own);
 }
 
-static void keep(Lines *l, int count, double *kept) {
+static void save_lines(Lines *l, int count, double *kept) {
     double *rows[KEPT];
     kept_rows(l, rows);
     for (int i = 0; i < KEPT; i++) memcpy(kept + i * count, rows[i], count * sizeof(double));
@@ -66,7 +66,7 @@ static void keep(Lines *l, int count, double *kept) {
     kept[0] = l->det, kept[1] = l->spread_in, kept[2] = l->spread_out;
 }
 
-static void recall(Lines *l, int count, const double *kept) {
+static void restore_lines(Lines *l, int count, const double *kept) {
     double *rows[KEPT];
     kept_rows(l, rows);
     for (int i = 0; i < KEPT; i++) memcpy(rows[i], kept + i * count, count * sizeof(double));
@@ -74,7 +74,7 @@ static void recall(Lines *l, int count, const double *kept) {
     l->det = kept[0], l->spread_in = kept[1], l->spread_out = kept[2];
 }
 
-static void make_fan(Fan *fan, int count) {
+static void init_fan(Fan *fan, int count) {
     fan->count = count;
     for (int k = 0; k < count; k++) {
         double t = 2 * PI * k / count;
@@ -112,7 +112,7 @@ static void make_filters(Filters *f, double step, double sigma) {
 }
 
 /* Return the response of EDGE to a small offset of 1 px if the actual blur is `blur`, px. */
-static double gain(const Filters *f, double blur) {
+static double edge_response(const Filters *f, double blur) {
     double sum = 0;
     for (int j = 0; j < SAMPLES; j++) sum += f->bank[EDGE][j] * exp(-0.5 * square((j - (SAMPLES - 1) / 2.0) * f->step / blur));
     return sum / (sqrt(2 * PI) * blur);
@@ -157,7 +157,7 @@ static void read_within(const Image *image, double u, double v, double du, doubl
 
 /* Apply the filters to a profile that extends beyond the image border, where border pixels are
    repeated. */
-static void read_beyond(const Image *image, double u, double v, double du, double dv, const Filters *f, Eight *out) {
+static void filter_at_border(const Image *image, double u, double v, double du, double dv, const Filters *f, Eight *out) {
     const long w = image->width, h = image->height;
     *out = (Eight){0};
     for (int j = 0; j < SAMPLES; j++) {
@@ -182,7 +182,7 @@ static void read_profiles(Lines *l, const Image *image, const double *center, co
         if (u - far_u >= 0 && u + far_u < last_u && v - far_v >= 0 && v + far_v < last_v)
             read_within(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, f, &sums);
         else
-            read_beyond(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, f, &sums);
+            filter_at_border(image, u, v, l->mx[k] * f->step, l->my[k] * f->step, f, &sums);
         for (int i = 0; i < FILTERS; i++) l->read[i][k] = sums[i];
     }
 }
@@ -209,7 +209,7 @@ static double plane(const double *ends, double *fitted, const Fan *fan, double o
     return sqrt(left / K);
 }
 
-static void levels(Lines *l, const Fan *fan, double outlier) {
+static void fit_levels(Lines *l, const Fan *fan, double outlier) {
     l->spread_in = plane(l->read[INSIDE], l->inside, fan, outlier);
     l->spread_out = plane(l->read[OUTSIDE], l->outside, fan, outlier);
     /* without contrast there is no edge; the caller rejects such fits */
@@ -249,12 +249,12 @@ static void apply_move(double *center, double *shape, const double *move) {
 
    The blur comes from the second moment of the profiles' deviation from a step. The integral of
    (F - [o < 0]) o do is (sigma^2 + d^2) / 2 for F = Phi(-(o - d) / sigma). */
-static double approach(const Image *image, long n, double *centers, double *shapes, const Settings *s, Lines *l, Fan *fan,
-                       double *work, double *step) {
+static double converge_centers(const Image *image, long n, double *centers, double *shapes, const Settings *s, Lines *l, Fan *fan,
+                               double *work, double *step) {
     const double step_moment = -(SAMPLES * SAMPLES - 1) / 8.0;  /* moment of [o < 0], in samples */
     Filters f;
     double sigma = s->start_blur;
-    make_fan(fan, COARSE);
+    init_fan(fan, COARSE);
     *step = COARSE_STEP;
     for (int round = 0; round < COARSE_ROUNDS; round++) {
         double farthest = 0;
@@ -264,7 +264,7 @@ static double approach(const Image *image, long n, double *centers, double *shap
             memcpy(before, shape, sizeof before);
             outline(l, shape, fan);
             read_profiles(l, image, centers + 2 * i, shape, fan, &f);
-            levels(l, fan, s->level_outlier);
+            fit_levels(l, fan, s->level_outlier);
             for (int k = 0; k < COARSE; k++) {
                 double over = 1 / (l->inside[k] - l->outside[k]);
                 double delta = (l->read[AREA][k] - SAMPLES * l->outside[k]) * over - 0.5 * SAMPLES;
@@ -334,8 +334,8 @@ static void blur_tensor(long count, const double *normals, const double *blurs, 
 
    An offset moves e on the unit circle by delta g = e . w + e^T V e, with w = S^-1 dc and V =
    sym(S^-1 dS). */
-static void settle(const Lines *l, const Fan *fan, const Settings *s, const double *delta, const Common *common,
-                   double blur_variance, double *center, double *shape, double *cov, double *found, long n) {
+static void solve_ellipse(const Lines *l, const Fan *fan, const Settings *s, const double *delta, const Common *common,
+                          double blur_variance, double *center, double *shape, double *cov, double *found, long n) {
     int K = fan->count;
     double scaled[PROFILES_MAX], left[PROFILES_MAX], weight[PROFILES_MAX], move[5], mean = 0, A[5][5] = {{0}}, r[5] = {0}, inverse[5][5];
     for (int k = 0; k < K; k++) scaled[k] = delta[k] * l->g[k];
@@ -414,13 +414,13 @@ static void sample_edges(const Image *image, long n, const double *centers, cons
     for (long i = 0; i < n; i++) {
         outline(l, shapes + 3 * i, fan);
         read_profiles(l, image, centers + 2 * i, shapes + 3 * i, fan, f);
-        levels(l, fan, s->level_outlier);
+        fit_levels(l, fan, s->level_outlier);
         for (int k = 0; k < fan->count; k += 4) {
             double over = 1 / (l->inside[k] - l->outside[k]);
             *blurs++ = max_of((l->read[BLUR][k] - f->sums[BLUR] * l->outside[k]) * over + sigma - f->rest_blur, 0.5);
             *normals++ = l->mx[k], *normals++ = l->my[k];
         }
-        keep(l, fan->count, kept + i * (KEPT * fan->count + 3));
+        save_lines(l, fan->count, kept + i * (KEPT * fan->count + 3));
     }
 }
 
@@ -437,14 +437,14 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     Lines lines;
     double *work = malloc(n * sizeof *work);
     if (!work) return NO_MEMORY;
-    double step, sigma = approach(&view, n, centers, shapes, &s, &lines, &fan, work, &step);
+    double step, sigma = converge_centers(&view, n, centers, shapes, &s, &lines, &fan, work, &step);
     for (long i = 0; i < n; i++) {  /* perimeters, accurate to a percent */
         const double *a = shapes + 3 * i;
         work[i] = 2 * PI * sqrt((a[0] * a[0] + a[2] * a[2]) / 2 + a[1] * a[1]);
     }
     double profiles = 8 * ceil(upper_median(work, n) / s.spacing / 8);
     /* NaN also gives LEAST */
-    make_fan(&fan, profiles > PROFILES_MIN ? (int)min_of(profiles, PROFILES_MAX) : PROFILES_MIN);
+    init_fan(&fan, profiles > PROFILES_MIN ? (int)min_of(profiles, PROFILES_MAX) : PROFILES_MIN);
     make_filters(&f, s.step * max_of(1, sigma / s.start_blur), sigma);
     free(work);
     int per = fan.count / 4, size = KEPT * fan.count + 3;
@@ -454,18 +454,18 @@ int64_t fit_profiles(const float *image, int64_t height, int64_t width, int64_t 
     sample_edges(&view, n, centers, shapes, &s, &fan, &f, sigma, &lines, kept, normals, blurs);
     memcpy(sorted, blurs, n * per * sizeof *sorted);
     double middle = upper_median(sorted, n * per), bound = s.max_blur_variance * middle * middle;
-    common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = gain(&f, middle);
+    common.rest_edge = f.rest_edge, common.sum_edge = f.sums[EDGE], common.gain = edge_response(&f, middle);
     blur_tensor(n * per, normals, blurs, bound, &common);
     for (long i = 0; i < n; i++) {
         double delta[PROFILES_MAX], variance = 0, shared = 0, in = 0, out = 0;
-        recall(&lines, fan.count, kept + i * size);
+        restore_lines(&lines, fan.count, kept + i * size);
         for (int k = 0; k < per; k++) {
             double x = normals[2 * (i * per + k)], y = normals[2 * (i * per + k) + 1];
             variance += min_of(square(blurs[i * per + k]), bound);
             shared += common.uu * x * x + common.uv * 2 * x * y + common.vv * y * y;
         }
         offsets(&lines, &fan, &f, &common, (variance - shared) / per, delta);
-        settle(&lines, &fan, &s, delta, &common, variance / per, centers + 2 * i, shapes + 3 * i, cov + 25 * i, found + i, n);
+        solve_ellipse(&lines, &fan, &s, delta, &common, variance / per, centers + 2 * i, shapes + 3 * i, cov + 25 * i, found + i, n);
         for (int k = 0; k < fan.count; k++) in += lines.inside[k], out += lines.outside[k];
         levels_[i] = in / fan.count, levels_[n + i] = out / fan.count;
     }

@@ -12,55 +12,55 @@
 #define PRODUCTS 16 /* nonzero splines at a marker */
 
 /* Products of splines at a marker, and their slopes. */
-typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUCTS]; } Seat;
+typedef struct { long first; double value[PRODUCTS], by_x[PRODUCTS], by_y[PRODUCTS]; } MarkerBasis;
 
 /* Observation of the membrane by the whitened markers, r rows. The positions come first, three rows
    per marker. With `tilts`, two slopes per marker follow. A row has the weights of the splines'
    values, or those of their slopes by x and y. */
-typedef struct { long markers, rows; const double *weights, *tilts; const Seat *seats; } Observation;
+typedef struct { long markers, rows; const double *weights, *tilts; const MarkerBasis *bases; } Observation;
 
 /* Nodes of tractions (jx, jy). `load_x` (nx, jx) and `load_y` (ny, jy) give the generalized forces
    of 1 Pa at each node. `root_x` and `root_y` are the lower triangular roots of the prior's
    correlation along x and y. */
 typedef struct { long jx, jy; const double *load_x, *load_y, *root_x, *root_y; } Nodes;
 
-static void take_seats(const SplineMembrane *s, long markers, const double *material, Seat *seats) {
+static void locate_markers(const SplineMembrane *s, long markers, const double *material, MarkerBasis *bases) {
     for (long m = 0; m < markers; m++) {
         Local x = splines_at(s->numbers.length_x, s->nx - 1, material[2 * m]);
         Local y = splines_at(s->numbers.length_y, s->ny - 1, material[2 * m + 1]);
-        Seat *seat = seats + m;
-        seat->first = x.first * s->ny + y.first;
+        MarkerBasis *basis = bases + m;
+        basis->first = x.first * s->ny + y.first;
         for (int k = 0; k < PRODUCTS; k++) {
             int a = k / 4, b = k % 4;
-            seat->value[k] = x.value[a] * y.value[b];
-            seat->by_x[k] = x.slope[a] * y.value[b], seat->by_y[k] = x.value[a] * y.slope[b];
+            basis->value[k] = x.value[a] * y.value[b];
+            basis->by_x[k] = x.slope[a] * y.value[b], basis->by_y[k] = x.value[a] * y.slope[b];
         }
     }
 }
 
-/* Compute row r: its 48 entries, in the order of the returned seat's splines; `place` gives their
+/* Compute row r: its 48 entries, in the order of the returned basis's splines; `place` gives their
    positions in (n, 3). */
-static const Seat *row_of(const Observation *observed, long r, double (*row)[3]) {
+static const MarkerBasis *row_of(const Observation *observed, long r, double (*row)[3]) {
     const long positions = 3 * observed->markers, m = r < positions ? r / 3 : (r - positions) / 2;
-    const Seat *seat = observed->seats + m;
+    const MarkerBasis *basis = observed->bases + m;
     for (int k = 0; k < PRODUCTS; k++)
         for (int i = 0; i < 3; i++) {
-            if (r < positions) row[k][i] = observed->weights[3 * r + i] * seat->value[k];
+            if (r < positions) row[k][i] = observed->weights[3 * r + i] * basis->value[k];
             else {
                 const double *by_x = observed->tilts + 3 * (r - positions), *by_y = by_x + 6 * observed->markers;
-                row[k][i] = by_x[i] * seat->by_x[k] + by_y[i] * seat->by_y[k];
+                row[k][i] = by_x[i] * basis->by_x[k] + by_y[i] * basis->by_y[k];
             }
         }
-    return seat;
+    return basis;
 }
 
-static long place(const SplineMembrane *s, const Seat *seat, int k) { return 3 * (seat->first + k / 4 * s->ny + k % 4); }
+static long place(const SplineMembrane *s, const MarkerBasis *basis, int k) { return 3 * (basis->first + k / 4 * s->ny + k % 4); }
 
-static double see(const SplineMembrane *s, const Observation *observed, long r, const double *x) {
+static double predict_row(const SplineMembrane *s, const Observation *observed, long r, const double *x) {
     double row[PRODUCTS][3], sum = 0;
-    const Seat *seat = row_of(observed, r, row);
+    const MarkerBasis *basis = row_of(observed, r, row);
     for (int k = 0; k < PRODUCTS; k++) {
-        const double *at = x + place(s, seat, k);
+        const double *at = x + place(s, basis, k);
         sum += row[k][0] * at[0] + row[k][1] * at[1] + row[k][2] * at[2];
     }
     return sum;
@@ -138,23 +138,23 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
     SplineMembrane s = membrane_of(nx, ny, numbers);
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, nodal = 3 * jx * jy, longer = s.ny > jy ? s.ny : jy;
-    Seat *seats = malloc((markers + 1) * sizeof *seats);
+    MarkerBasis *bases = malloc((markers + 1) * sizeof *bases);
     double *motion = malloc(dofs * sizeof *motion);
     Lanes *x = malloc((dofs + longer + nodal) * sizeof *x), *rows = x + dofs, *out = rows + longer;
-    int failed = seats && motion && x ? 0 : NO_MEMORY;
-    Observation observed = {markers, r, weights, tilts, seats};
-    if (!failed) take_seats(&s, markers, material, seats), interleave_components(&s, bulge, motion);
+    int failed = bases && motion && x ? 0 : NO_MEMORY;
+    Observation observed = {markers, r, weights, tilts, bases};
+    if (!failed) locate_markers(&s, markers, material, bases), interleave_components(&s, bulge, motion);
     for (long first = 0; first < observed.rows && !failed; first += LANES) {
         long lanes = observed.rows - first < LANES ? observed.rows - first : LANES;
         Lanes along = {0};
         memset(x, 0, dofs * sizeof *x);
         for (long l = 0; l < lanes; l++) {
             double row[PRODUCTS][3];
-            const Seat *seat = row_of(&observed, first + l, row);
+            const MarkerBasis *basis = row_of(&observed, first + l, row);
             for (int k = 0; k < PRODUCTS; k++)
-                for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i][l] = row[k][i];
-            bulge_seen[first + l] = see(&s, &observed, first + l, motion);
-            along[l] = fraction * see(&s, &observed, first + l, softened);
+                for (int i = 0; i < 3; i++) x[place(&s, basis, k) + i][l] = row[k][i];
+            bulge_seen[first + l] = predict_row(&s, &observed, first + l, motion);
+            along[l] = fraction * predict_row(&s, &observed, first + l, softened);
         }
         band_solve_lanes(dofs, s.width, factor, x, 0);
         for (long i = 0; i < dofs; i++) x[i] -= softened[i] * along;
@@ -162,7 +162,7 @@ int64_t inverse_gain(int64_t nx, int64_t ny, const double *numbers, const double
         for (long l = 0; l < lanes; l++)
             for (long i = 0; i < nodal; i++) half[(first + l) * nodal + i] = out[i][l];
     }
-    free(seats), free(motion), free(x);
+    free(bases), free(motion), free(x);
     return failed;
 }
 
@@ -216,14 +216,14 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
     Stiffness K = {factor, softened, fraction};
     Nodes nodes = {jx, jy, load_x, load_y, root_x, root_y};
     const long dofs = 3 * s.n, room = 2 * jx * jy + s.nx + s.ny + jx + jy;
-    Seat *seats = malloc((markers + 1) * sizeof *seats);
+    MarkerBasis *bases = malloc((markers + 1) * sizeof *bases);
     double *relaxed = malloc((3 * dofs + room) * sizeof *relaxed), *x = relaxed + dofs, *parts = x + dofs, *work = parts + dofs;
-    Observation observed = {markers, r, weights, tilts, seats};
-    if (!seats || !relaxed) {
-        free(seats), free(relaxed);
+    Observation observed = {markers, r, weights, tilts, bases};
+    if (!bases || !relaxed) {
+        free(bases), free(relaxed);
         return NO_MEMORY;
     }
-    take_seats(&s, markers, material, seats);
+    locate_markers(&s, markers, material, bases);
     /* relative to the state without tractions, c - K^-1 r */
     interleave_components(&s, residual, relaxed), solve_stiffness(&s, &K, relaxed);
     interleave_components(&s, c, x);
@@ -231,23 +231,23 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
         double off[3] = {data[3 * m], data[3 * m + 1], data[3 * m + 2]};
         for (int k = 0; k < PRODUCTS; k++)
             for (int i = 0; i < 3; i++) {
-                long at = place(&s, seats + m, k) + i;
-                off[i] -= seats[m].value[k] * (x[at] - relaxed[at]);
+                long at = place(&s, bases + m, k) + i;
+                off[i] -= bases[m].value[k] * (x[at] - relaxed[at]);
             }
         for (int a = 0; a < 3; a++) {
             const double *w = weights + 9 * m + 3 * a;
             misfit[3 * m + a] = w[0] * off[0] + w[1] * off[1] + w[2] * off[2];
         }
     }
-    for (long r = 3 * markers; r < observed.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + see(&s, &observed, r, relaxed);
+    for (long r = 3 * markers; r < observed.rows; r++) misfit[r] = slopes_off[r - 3 * markers] + predict_row(&s, &observed, r, relaxed);
     memcpy(noise, misfit, observed.rows * sizeof *noise);
     solve_dense(observed.rows, innovation, noise); /* remaining noise of the whitened markers */
     memset(x, 0, dofs * sizeof *x), memset(drift_found, 0, modes * sizeof *drift_found);
     for (long r = 0; r < observed.rows; r++) {
         double row[PRODUCTS][3];
-        const Seat *seat = row_of(&observed, r, row);
+        const MarkerBasis *basis = row_of(&observed, r, row);
         for (int k = 0; k < PRODUCTS; k++)
-            for (int i = 0; i < 3; i++) x[place(&s, seat, k) + i] += row[k][i] * noise[r];
+            for (int i = 0; i < 3; i++) x[place(&s, basis, k) + i] += row[k][i] * noise[r];
         for (long i = 0; i < modes; i++) drift_found[i] += drift[modes * r + i] * noise[r];
     }
     solve_stiffness(&s, &K, x), separate_components(&s, x, parts);
@@ -258,7 +258,7 @@ int64_t inverse_step(int64_t nx, int64_t ny, const double *numbers, const double
     interleave_components(&s, parts, x), solve_stiffness(&s, &K, x);
     for (long i = 0; i < dofs; i++) x[i] -= relaxed[i];
     separate_components(&s, x, change);
-    free(seats), free(relaxed);
+    free(bases), free(relaxed);
     return 0;
 }
 
@@ -297,7 +297,7 @@ static void add_product(double by, long n, const double *row, const Lanes *x, La
 }
 
 /* Compute seen (r) = L^-1 half own, with L (r, r) and half (r, m) by rows. */
-static void whitened(long r, long m, const double *half, const Lanes *own, const double *L, Lanes *seen) {
+static void whiten(long r, long m, const double *half, const Lanes *own, const double *L, Lanes *seen) {
     for (long i = 0; i < r; i++) {
         Lanes sum = {0};
         add_product(1, m, half + i * m, own, &sum), add_product(-1, i, L + i * r, seen, &sum);
@@ -315,7 +315,7 @@ int64_t wrench_posterior(int64_t r, int64_t jx, int64_t jy, const double *root_x
     int failed = own && room ? 0 : NO_MEMORY;
     if (!failed) {
         wrench_rows(&nodes, prior, positions, areas, room, own);
-        whitened(r, nodal, half, own, innovation, seen);
+        whiten(r, nodal, half, own, innovation, seen);
         for (int a = 0; a < WRENCH; a++) {
             for (long k = 0; k < nodal; k++) sum[a] += own[k][a] * own[k];
             for (long i = 0; i < r; i++) sum[a] -= seen[i][a] * seen[i];

@@ -240,7 +240,7 @@ int64_t rubber_stiffness(int64_t m, const int64_t *edges /* m, 3 */, int64_t e, 
    `kept`. In and out: `memory`, the previous stress and the relaxed part of each term; `max_energy`, the
    maximum energy; `rows`, scaled to the instantaneous rubber; `forces` on k `interior` vertices, to
    which those that subtract the relaxed stress are added. `work` is workspace. */
-int64_t rubber_remembers(int64_t m, const int64_t *triangles /* m, 3 */, int64_t n, const double *p /* n, 3 */,
+int64_t viscoelastic_forces(int64_t m, const int64_t *triangles /* m, 3 */, int64_t n, const double *p /* n, 3 */,
                          const double *inverse /* m, 2, 2 */, const double *section /* m */, const double *law /* 5 */,
                          const double *thin /* m or NULL */, int64_t terms, const double *fractions /* terms */,
                          const double *kept /* terms */, double *memory /* terms + 1, 3, m */, double *max_energy /* m */,

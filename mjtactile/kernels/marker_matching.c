@@ -16,7 +16,7 @@ _Static_assert(sizeof(IdentitySettings) == 5 * sizeof(double), "as in kernels.h"
 
 typedef struct { int64_t n, m, k, neighbours; const double *found, *expected; const int64_t *order; double pitch; } Scene;
 
-static int known(const double *xy) { return isfinite(xy[0]) && isfinite(xy[1]); }
+static int is_known(const double *xy) { return isfinite(xy[0]) && isfinite(xy[1]); }
 
 static double squared_distance(const double *a, const double *b) { return square(a[0] - b[0]) + square(a[1] - b[1]); }
 
@@ -36,7 +36,7 @@ static void smooth(const Scene *scene, const double *moved, double *out, double 
     for (int axis = 0; axis < 2; axis++) {
         int64_t count = 0;
         for (int64_t i = 0; i < scene->m; i++)
-            if (known(moved + 2 * i)) work[count++] = moved[2 * i + axis];
+            if (is_known(moved + 2 * i)) work[count++] = moved[2 * i + axis];
         if (count) common[axis] = median(work, count);
     }
     for (int64_t i = 0; i < scene->m; i++) {
@@ -44,7 +44,7 @@ static void smooth(const Scene *scene, const double *moved, double *out, double 
         int64_t count = 0;
         for (int64_t j = 0; j < scene->k && count < scene->neighbours; j++) {
             const double *one = moved + 2 * scene->order[i * scene->k + j];
-            if (known(one)) near[0][count] = one[0], near[1][count++] = one[1];
+            if (is_known(one)) near[0][count] = one[0], near[1][count++] = one[1];
         }
         for (int axis = 0; axis < 2; axis++) out[2 * i + axis] = count ? median(near[axis], count) : common[axis];
     }
@@ -57,7 +57,7 @@ static void mutual_nearest(const Scene *scene, const double *shift, double gate,
     for (int64_t i = 0; i < scene->n; i++) {
         double best = INFINITY;
         ids[i] = -1;
-        if (!known(scene->found + 2 * i)) continue;
+        if (!is_known(scene->found + 2 * i)) continue;
         for (int64_t j = 0; j < scene->m; j++) {
             double at[2] = {scene->expected[2 * j] + shift[2 * j], scene->expected[2 * j + 1] + shift[2 * j + 1]};
             double d2 = squared_distance(scene->found + 2 * i, at);
@@ -79,7 +79,7 @@ static void common_shift(const Scene *scene, double same, double *out, double *o
     for (int64_t i = 0; i < scene->n; i++) {
         double best = INFINITY;
         const double *here = scene->found + 2 * i;
-        if (!known(here)) continue;
+        if (!is_known(here)) continue;
         for (int64_t j = 0; j < scene->m; j++) {
             double d2 = squared_distance(here, scene->expected + 2 * j);
             if (d2 < best) best = d2, offsets[2 * count] = here[0] - scene->expected[2 * j],
@@ -158,8 +158,8 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
     smooth(&scene, moved, shift, work);
     for (int64_t j = 0; j < m; j++)  /* a marker at an unknown position: from its neighbors */
         for (int axis = 0; axis < 2; axis++)
-            own[2 * j + axis] = known(expected + 2 * j) ? expected[2 * j + axis] : layout[2 * j + axis] + shift[2 * j + axis];
-    for (int64_t i = 0; i < n; i++) ids[i] = -1, places += known(found + 2 * i);
+            own[2 * j + axis] = is_known(expected + 2 * j) ? expected[2 * j + axis] : layout[2 * j + axis] + shift[2 * j + axis];
+    for (int64_t i = 0; i < n; i++) ids[i] = -1, places += is_known(found + 2 * i);
     if (places) match(&scene, &s, ids, shift, moved, work, back, offsets);
     free(own), free(back);
     return 0;
@@ -168,7 +168,7 @@ int64_t match_markers(int64_t n, int64_t m, int64_t k, const double *found, cons
 /* Return the coordinate along `axis`, frame S, of the circle at `p`, frame C, if it is `factor`
    times as large as assumed. Its distance from the intersection of its rays grows by that
    factor. */
-static double farther(const double *p, int axis, double factor, double shift, const double *origin) {
+static double scaled_coordinate(const double *p, int axis, double factor, double shift, const double *origin) {
     double apex = axis == 2 ? shift : 0;
     return (p[axis] - apex) * factor + apex + origin[axis];
 }
@@ -190,7 +190,7 @@ int64_t name_circles(int64_t count, int64_t all, const int64_t *circles, const d
         double x, y;
         refract(&camera, c, &x, &y);
         shifts[i] = differ ? glass_displacement(&camera, x * x + y * y) : 0;
-        heights[i] = farther(c, 2, factors[i], shifts[i], origin);
+        heights[i] = scaled_coordinate(c, 2, factors[i], shifts[i], origin);
     }
     for (int64_t i = 0; i < count; i++, slopes += count) {
         const double *n = first_n + 3 * circles[i], *other = second_n + 3 * circles[i];
@@ -199,7 +199,7 @@ int64_t name_circles(int64_t count, int64_t all, const int64_t *circles, const d
         int swap = (other[0] - n[0]) * z_x + (other[1] - n[1]) * z_y - (other[2] - n[2]) > 0;
         const double *c = (swap ? second : first) + 3 * circles[i];
         for (int k = 0; k < 3; k++) {
-            p[3 * i + k] = farther(c, k, factors[i], shifts[i], origin);
+            p[3 * i + k] = scaled_coordinate(c, k, factors[i], shifts[i], origin);
             normals[3 * i + k] = swap ? other[k] : n[k];
         }
         for (int k = 0; k < 9; k++) cov_p[9 * i + k] = cov[9 * circles[i] + k] * square(factors[i]);

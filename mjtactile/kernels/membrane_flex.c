@@ -133,10 +133,9 @@ static double energy(const double *C, double q, double poisson) {
     return (C[0] + C[1] + c - 3 - 2 * log_volume) / 2 + poisson / (1 - 2 * poisson) * log_volume * log_volume;
 }
 
-int64_t rubber_remembers(int64_t m, const int64_t *triangles, int64_t n, const double *p, const double *inverse,
-                         const double *section, const double *law, const double *thin, int64_t terms, const double *shares,
-                         const double *kept, double *memory, double *max_energy, double *work, int64_t k, const int64_t *interior,
-                         double *rows, double *forces) {
+int64_t viscoelastic_forces(int64_t m, const int64_t *triangles, int64_t n, const double *p, const double *inverse, const double *section,
+                            const double *law, const double *thin, int64_t terms, const double *shares, const double *kept, double *memory,
+                            double *max_energy, double *work, int64_t k, const int64_t *interior, double *rows, double *forces) {
     if (!are_below(n, 3 * m, triangles) || !are_below(n, k, interior)) return REFUSED;
     double shear = law[0], poisson = law[1], stretch2 = law[2], softening = law[3], softening_energy = law[4], quick = 1;
     double *slopes = work, *stress = work + 6 * m, *faded = work + 9 * m, *load = work + 12 * m;
@@ -239,7 +238,7 @@ static double dot(Plane a, Plane b) { return a.x * b.x + a.y * b.y; }
 
 static Plane add(Plane a, double scale, Plane b) { return (Plane){a.x + scale * b.x, a.y + scale * b.y}; }
 
-static Plane shorten(Plane a, double limit) { return add((Plane){0}, fmin(limit / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
+static Plane limit_length(Plane a, double limit) { return add((Plane){0}, fmin(limit / sqrt(fmax(dot(a, a), SMALLEST)), 1), a); }
 
 /* State of a vertex: its contact sticks, slides, or does not exist while others slide. */
 enum { STICKS, SLIDES, JOINS };
@@ -315,10 +314,10 @@ int64_t update_stiction(int64_t contacts, int64_t list, const int64_t *layout, i
             slips = dot(next, next) >= limit * limit;
         else
             slips = dot(held, held) >= set.on_cone * set.on_cone * limit * limit && dot(held, moving) <= 0;
-        if (slid && !slips) held = shorten(was, limit);
+        if (slid && !slips) held = limit_length(was, limit);
         shift = slips ? add((Plane){0}, set.kept, shift) : add(shift, 1, moved);
         held = slips ? add((Plane){0}, target / sqrt(fmax(dot(next, next), SMALLEST)), next)
-                     : shorten(add(held, -set.mend / (set.step * set.step) * mass, shift), target);
+                     : limit_length(add(held, -set.mend / (set.step * set.step) * mass, shift), target);
         Plane belt = add(add((Plane){0}, slips ? -drag : 1 - drag, moving), -set.step / mass, held);
         if (slips) states_after[v] = SLIDES, sliding++;
         for (int i = 0; i < 3; i++) {

@@ -24,7 +24,7 @@ typedef struct {
 
 static int64_t fine_of(const Grid *g, int64_t i, int64_t j) { return (i * g->nb + j) * g->refine; }
 
-static int is_mine(const Grid *g, int64_t fine) { return !g->owner || g->owner[fine] == g->number; }
+static int is_owned(const Grid *g, int64_t fine) { return !g->owner || g->owner[fine] == g->number; }
 
 /* Return the curved area of a point of the fine grid, m^2; zero on the frame. */
 static double cell(const Grid *g, int64_t at) {
@@ -52,7 +52,7 @@ static double area_of(const Grid *g, const double *pressing, const double *node_
             for (int64_t j = 1; j < g->ny - 1; j++) {
                 int64_t node = (i - 1) * inner + j - 1, at = fine_of(g, i, j);
                 double fraction = max_of(pressing[node] - core, 0) * node_area[node];
-                if (fraction <= 0 || !is_mine(g, at)) continue;
+                if (fraction <= 0 || !is_owned(g, at)) continue;
                 double x = g->position[at], y = g->position[all + at];
                 if (round == 0) total += fraction, mean[0] += fraction * x, mean[1] += fraction * y;
                 else variance += fraction * (square(x - mean[0] / total) + square(y - mean[1] / total)) / total;
@@ -62,7 +62,7 @@ static double area_of(const Grid *g, const double *pressing, const double *node_
     return pow(pow(seen, -s->area_blend) + pow(carrying, -s->area_blend), -1 / s->area_blend);
 }
 
-static void sift(const double *field, int64_t *heap, int64_t count, int64_t at) {
+static void sift_down(const double *field, int64_t *heap, int64_t count, int64_t at) {
     for (int64_t child; (child = 2 * at + 1) < count; at = child) {
         if (child + 1 < count && field[heap[child + 1]] > field[heap[child]]) child++;
         if (field[heap[at]] >= field[heap[child]]) return;
@@ -73,19 +73,19 @@ static void sift(const double *field, int64_t *heap, int64_t count, int64_t at) 
 
 /* Mark the cells of the strongest field in `inside`, as many as fill `area`, at least one; return
    their number. The n-th of them is `heap[*positive - 1 - n]`. */
-static int64_t strongest(const Grid *g, const double *field, double area, int64_t *heap, int64_t *positive, uint8_t *inside) {
+static int64_t mark_strongest(const Grid *g, const double *field, double area, int64_t *heap, int64_t *positive, uint8_t *inside) {
     int64_t all = g->na * g->nb, count = 0, taken = 0;
     for (int64_t at = 0; at < all; at++)
-        if (field[at] > 0 && is_mine(g, at)) heap[count++] = at;
+        if (field[at] > 0 && is_owned(g, at)) heap[count++] = at;
     *positive = count;
-    for (int64_t at = count / 2; at-- > 0;) sift(field, heap, count, at);
+    for (int64_t at = count / 2; at-- > 0;) sift_down(field, heap, count, at);
     double filled = 0;
     while (count) {
         int64_t top = heap[0];
         filled += cell(g, top);
         if (taken && filled >= area) break;
         heap[0] = heap[--count], heap[count] = top;
-        sift(field, heap, count, 0);
+        sift_down(field, heap, count, 0);
         inside[top] = 1, taken++;
     }
     return taken;
@@ -129,29 +129,29 @@ int64_t measure_patch(int64_t nx, int64_t ny, int64_t refine, int64_t na, int64_
         int64_t at = fine_of(&g, node / inner + 1, node % inner + 1);
         pressing[node] = max_of(-traction[2 * nodes + node], 0);
         strongest_node = max_of(strongest_node, pressing[node]), total -= traction[2 * nodes + node] * node_area[node];
-        if (is_mine(&g, at))
+        if (is_owned(&g, at))
             for (int k = 0; k < 3; k++) force[k] += traction[k * nodes + node] * node_area[node];
     }
     int counts = -force[2] >= s.min_fraction * max_of(total, 1e-9);
     if (counts) {
         double area = area_of(&g, pressing, node_area, s.core_fraction * strongest_node, -force[2], gauge, node_variance, &s);
-        int64_t count = strongest(&g, fine, area, heap, &positive, inside);
+        int64_t count = mark_strongest(&g, fine, area, heap, &positive, inside);
         double weights = 0, x = 0, y = 0, deep = 0, deepest = 0;
         for (int64_t at = 0; at < all; at++) peak = max_of(peak, fine[at]);
         for (int64_t at = 0; at < all; at++) {
             double weight = fine[at] - s.core_fraction * peak;
-            if (weight <= 0 || !is_mine(&g, at)) continue;
+            if (weight <= 0 || !is_owned(&g, at)) continue;
             weights += weight, x += weight * position[at], y += weight * position[all + at];
         }
         int any = 0;
         for (int64_t i = 0; i < nx; i++)
             for (int64_t j = 0; j < ny; j++) {
                 int64_t at = fine_of(&g, i, j);
-                int border = i == 0 || j == 0 || i == nx - 1 || j == ny - 1, here = is_mine(&g, at) && inside[at];
+                int border = i == 0 || j == 0 || i == nx - 1 || j == ny - 1, here = is_owned(&g, at) && inside[at];
                 double sink = border ? 0 : sunk[(i - 1) * inner + j - 1];
                 mask[j * nx + i] = (uint8_t)here, any |= here;
                 if (here) deep = max_of(deep, sink);
-                if (is_mine(&g, at)) deepest = max_of(deepest, sink);
+                if (is_owned(&g, at)) deepest = max_of(deepest, sink);
             }
         memcpy(found, force, sizeof force);
         found[3] = x / weights, found[4] = y / weights, found[5] = any ? deep : deepest;

@@ -94,7 +94,7 @@ void update_membrane(const Membrane *f, const Settings *set, int parts, Work *w)
     for (long k = first * line; first < last && k < max_of(last + 1, f->columns - 1) * line; k++) w->seen.along_y[k] = (double)w->fast.along_y[k];
 }
 
-void check_image(const Membrane *f, const Bodies *bodies, double lifted, int step, Work *w) {
+void update_obstacles(const Membrane *f, const Bodies *bodies, double lifted, int step, Work *w) {
     if (step < CHECKS) {
         see_bodies(f, bodies, w->x, &w->seen);
         for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++)

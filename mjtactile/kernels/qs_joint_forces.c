@@ -51,9 +51,9 @@ static void stiffness_of(const Given *g, const Patch *m, const double *grip, lon
 
 /* Add the damping of the joint axes between a body in contact and the body `carried` that has the free
    joint. These joints move parts of the object against each other, so their own velocity is damped. */
-static void resist(long body, long carried, const double K[6], double step, const double *R, const double *at, const int32_t *parent,
-                   const int32_t *joints, const int32_t *first, const int32_t *type, const int32_t *dof, const double *anchor,
-                   const double *axis, const double *xmat, double *out) {
+static void damp_joints(long body, long carried, const double K[6], double step, const double *R, const double *at, const int32_t *parent,
+                        const int32_t *joints, const int32_t *first, const int32_t *type, const int32_t *dof, const double *anchor,
+                        const double *axis, const double *xmat, double *out) {
     for (; body > 0 && body != carried; body = parent[body])
         for (long j = first[body]; j < first[body] + joints[body]; j++) {
             const long axes = type[j] == JOINT_BALL ? 3 : 1;
@@ -76,8 +76,8 @@ static void resist(long body, long carried, const double K[6], double step, cons
    the free joint that carries it. Also compute their velocity relative to the membrane. `R_SB`,
    `p_SB`: pose of that joint's body; the body in contact is assumed to move with it. `K`: stiffness
    of the patch. */
-static void hold_of(const Given *g, const Patch *m, const double K[6], long dof, const double *R_SB, const double *p_SB, double *hold,
-                    const double *R) {
+static void joint_stiffness(const Given *g, const Patch *m, const double K[6], long dof, const double *R_SB, const double *p_SB,
+                            double *hold, const double *R) {
     double G[36] = {0}, r[3], off[3], swing[3], moved[3];
     for (int i = 0; i < 3; i++) r[i] = m->middle[i] - p_SB[i], off[i] = p_SB[i] - m->p[i];
     for (int i = 0; i < 3; i++)
@@ -138,7 +138,7 @@ int64_t qs_push(const double *given, int64_t slots, const double *patch, const i
         into(R, offset, p_SB);
         double K[6];
         stiffness_of(g, m, grip + 9 * slots * s + 3 * s, 3 * slots, K);
-        hold_of(g, m, K, dof[first[carried]], R_SB, p_SB, hold, R);
+        joint_stiffness(g, m, K, dof[first[carried]], R_SB, p_SB, hold, R);
         for (long t = 0, count = 0; t < slots && body != carried; t++) {
             const Patch *other = (const Patch *)patch + t;
             count += other->touching && free_body(body_of[t], parent, joints, first, type) == carried;
@@ -146,7 +146,7 @@ int64_t qs_push(const double *given, int64_t slots, const double *patch, const i
             for (int i = 0; i < 6; i++) K[i] *= SIDE_BY_SIDE;
             break;
         }
-        resist(body, carried, K, g->step, R, at, parent, joints, first, type, dof, anchor, axis, xmat, push + nv);
+        damp_joints(body, carried, K, g->step, R, at, parent, joints, first, type, dof, anchor, axis, xmat, push + nv);
     }
     return pushes;
 }

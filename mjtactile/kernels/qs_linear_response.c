@@ -12,7 +12,7 @@ static int start_response(const Membrane *f, const Settings *set, const Bodies *
     const double *z = w->x + 2 * f->count;
     see_touch(f, w->force, &w->seen), narrow_view(f, bodies, &w->seen);
     w->heights.first = f->lopsided ? 0 : f->columns, w->heights.last = f->lopsided ? f->columns - 1 : -1;
-    check_image(f, bodies, 0, 0, w), widen_window(f, 0, w);
+    update_obstacles(f, bodies, 0, 0, w), widen_window(f, 0, w);
     update_membrane(f, set, QS_HEIGHTS, w);
     find_springs(f, z, &w->seen), stiffen_edges(f, z, 1, w);
     memset(w->residual + 2 * f->count, 0, f->count * sizeof *w->residual);
@@ -39,7 +39,7 @@ int64_t qs_approximate_sensitivities(const double *numbers, const double *law, i
     for (long k = 0; k < n; k++) was[k] = s->obstacle[k] - s->lower[k];
     for (long a = 0; a < changes; a++) {
         const Bodies changed = {bodies, body + (1 + a) * bodies * QS_OBSTACLE, pool, 0};
-        check_image(&f, &changed, 0, 0, &w);
+        update_obstacles(&f, &changed, 0, 0, &w);
         for (long k = 0; k < n; k++) {
             const double rise = (s->obstacle[k] - s->lower[k] - was[k]) / steps[a];
             /* the step begins at the present heights */

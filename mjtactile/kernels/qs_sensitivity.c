@@ -30,7 +30,7 @@ int64_t qs_sensitivities_size(const double *numbers) {
 /* Compute the effect of the obstacles on nodes (4, count), on the lines near them: forces, and
    distance of nodes in contact from their obstacle. Returns the force on nodes without an
    obstacle. */
-static double press(const Membrane *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
+static double obstacle_effects(const Membrane *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
     Seen *w = &t->seen;
     const long count = f->count;
     double missed = 0;
@@ -61,7 +61,7 @@ static double press(const Membrane *f, const Bodies *bodies, const double *x, co
 
 /* Return 1 if the obstacles do not match the equilibrium: away from the nodes that carry its force,
    or behind it. */
-static int is_elsewhere(const Membrane *f, const double *x, const double *force, double missed, const Tangent *t) {
+static int is_inconsistent(const Membrane *f, const double *x, const double *force, double missed, const Tangent *t) {
     const double *z = x + 2 * f->count;
     double total = 0, off = ELSEWHERE * missed, deepest = 0;
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++) {
@@ -82,7 +82,7 @@ static void move(const Membrane *f, const double *x, const double *force, double
 typedef struct { Bodies bodies; double step; } Change;
 
 static void find_residuals(const Membrane *f, const Change *change, int lane, const double *x, const double *force, Tangent *t) {
-    move(f, x, force, change->step, lane, t), press(f, &change->bodies, t->x, t->force, t, t->pressed_on);
+    move(f, x, force, change->step, lane, t), obstacle_effects(f, &change->bodies, t->x, t->force, t, t->pressed_on);
     const long from = first_line(f, &t->seen) * f->line, to = behind_lines(f, &t->seen) * f->line;
     for (int c = 0; c < 4; c++)
         for (long k = c * f->count + from; k < c * f->count + to; k++)
@@ -183,7 +183,7 @@ static void sums_by(const Membrane *f, const Change *change, int lane, double te
     double found[FOUND] = {0};
     const double bulge = t->swells[lane], pressure = -t->gas_stiffness * bulge;
     move(f, x, force, change->step, lane, t);
-    press(f, &change->bodies, t->x, t->force, t, t->pressed_on);
+    obstacle_effects(f, &change->bodies, t->x, t->force, t, t->pressed_on);
     found[TENSION] = t->tension + change->step * tension, found[PRESSURE] = t->pressure + change->step * pressure;
     find_sums(f, t->x, t->force, t, found);
     for (int k = 0; k < FOUND; k++) by[k] = (found[k] - t->sums[k]) / change->step;
@@ -192,7 +192,7 @@ static void sums_by(const Membrane *f, const Change *change, int lane, double te
 
 /* Write lanes of the result in Python's layout: displacements (many, 3, nodes) and forces
    (many, nodes). */
-static void handover(const Membrane *f, const Eight *found, long many, double *by_x, double *by_force) {
+static void write_lanes(const Membrane *f, const Eight *found, long many, double *by_x, double *by_force) {
     const long nodes = f->columns * f->rows;
     for (int c = 0; c < 4; c++)
         for (long i = 0; i < f->columns; i++)
@@ -205,7 +205,7 @@ static void handover(const Membrane *f, const Eight *found, long many, double *b
 
 /* Evaluate the equilibrium: contact, pressure, tension, and their dependence on displacements.
    Returns the number of sweeps, or 0 if the membrane is not in equilibrium on these obstacles. */
-static int prepare(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
+static int linearize_at(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
     see_touch(f, force, &t->seen), narrow_view(f, bodies, &t->seen);
     memcpy(t->x, x, (3 * count + LANES) * sizeof *x), memcpy(t->force, force, count * sizeof *force);
@@ -214,7 +214,7 @@ static int prepare(const Membrane *f, const Settings *set, const Bodies *bodies,
     gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
     /* default for nodes in contact exactly at the edge of their obstacle */
     memcpy(t->obstacle, x + 2 * count, count * sizeof *t->obstacle);
-    if (is_elsewhere(f, x, force, press(f, bodies, x, force, t, t->base), t)) return 0;
+    if (is_inconsistent(f, x, force, obstacle_effects(f, bodies, x, force, t, t->base), t)) return 0;
     t->sums[PRESSURE] = t->pressure, t->sums[TENSION] = t->tension;
     find_sums(f, x, force, t, t->sums);
     memcpy(t->slope, t->seen.slope, 2 * count * sizeof *t->slope), memcpy(t->spring, t->seen.spring, 4 * count * sizeof *t->spring);
@@ -236,7 +236,7 @@ int64_t qs_sensitivities(const double *numbers, const double *law, int64_t colum
     const long count = f.count, nodes = columns * rows;
     qs_pad(&f, 3, at, t.at), qs_pad(&f, 1, pressed, t.pressed);
     const double *x = t.at, *force = t.pressed;
-    const int sweeps = prepare(&f, (const Settings *)settings, &base, x, force, &t);
+    const int sweeps = linearize_at(&f, (const Settings *)settings, &base, x, force, &t);
     if (!sweeps) return 1;
     if (qs_tangent_make(&f, &base, x, force, &t)) return NOT_DEFINITE;
     for (long first = 0; first < changes; first += AT_ONCE) {
@@ -254,7 +254,7 @@ int64_t qs_sensitivities(const double *numbers, const double *law, int64_t colum
             for (long k = 0; k < count; k++)
                 tension += (double)t.stiffness.tension_by[c * t.stiffness.stride + k] * __builtin_convertvector(t.found[c * count + k], Lanes);
         for (long a = 0; a < many; a++) sums_by(&f, change + a, (int)a, tension[a], x, force, &t, by_detection + (first + a) * FOUND);
-        handover(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
+        write_lanes(&f, t.found, many, by_x + first * 3 * nodes, by_force + first * nodes);
     }
     return 0;
 }

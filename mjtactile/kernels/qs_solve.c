@@ -37,7 +37,7 @@
 
 /* Extrapolate the last change of the membrane, `trend` (4, nodes) of displacements and forces, by
    the ratio that fits the motion of the obstacles in contact. */
-static void go_on(const Membrane *f, const double *trend, Work *w) {
+static void extrapolate(const Membrane *f, const double *trend, Work *w) {
     const long n = f->count, nodes = f->columns * f->rows;
     const Seen *s = &w->seen;
     double along = 0, trends = 0, gaps = 0;
@@ -62,7 +62,7 @@ static void go_on(const Membrane *f, const double *trend, Work *w) {
 }
 
 /* Write padded fields in Python's layout, and their change into `change`. */
-static void handover(const Membrane *f, long fields, const double *from, double *to, double *change) {
+static void write_state(const Membrane *f, long fields, const double *from, double *to, double *change) {
     for (long i = 0; i < fields * f->columns; i++)
         for (long j = 0; j < f->rows; j++) {
             const double value = from[i * f->line + j];
@@ -91,8 +91,8 @@ static double step_both(const Membrane *f, const Settings *set, const Bodies *bo
 }
 
 /* Iterate to equilibrium. Returns a status. */
-static int come_to_rest(const Membrane *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend, double *found,
-                        Work *w) {
+static int iterate_to_equilibrium(const Membrane *f, const Settings *set, const Bodies *bodies, double lifted, const double *trend,
+                                  double *found, Work *w) {
     const long n = f->count;
     double last_before = FIRST_STEP, lift;
     int far = 0;
@@ -103,10 +103,10 @@ static int come_to_rest(const Membrane *f, const Settings *set, const Bodies *bo
     w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
     see_touch(f, w->force, &w->seen), find_floors(f, bodies, &w->seen);
     for (int step = 0; step < (int)set->max_steps; step++) {
-        check_image(f, bodies, lifted, step, w);
+        update_obstacles(f, bodies, lifted, step, w);
         const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);
         if (misplaced) return misplaced;
-        if (!step && trend) go_on(f, trend, w);
+        if (!step && trend) extrapolate(f, trend, w);
         /* the window of a first step has no factor yet, even if it is complete and nothing is in
            contact */
         const int wider = widen_window(f, step ? 0 : NEAR, w) || !step;
@@ -134,23 +134,23 @@ static int come_to_rest(const Membrane *f, const Settings *set, const Bodies *bo
 
 /* Solve after a jump that was too large: start without contact, and bring the obstacles in by
    smaller jumps. */
-static int come_from_rest(const Membrane *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
+static int solve_from_rest(const Membrane *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
     qs_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
     see_touch(f, w->force, &w->seen), see_bodies(f, bodies, w->x, &w->seen);
     double deep = 0;
     int status = NOT_CONVERGED;
     for (long k = 0; k < f->count; k++) deep = max_of(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);
     for (int jump = JUMPS - 1; jump >= 0; jump--) {
-        status = come_to_rest(f, set, bodies, deep * jump / JUMPS, 0, found, w);
+        status = iterate_to_equilibrium(f, set, bodies, deep * jump / JUMPS, 0, found, w);
         if (status != CONVERGED && status != NOT_CONVERGED) break;
     }
     return status;
 }
 
 /* Check that a result is within the model's range. Returns a status. */
-static int can_be(const Membrane *f, const Bodies *bodies, const Work *w) {
+static int check_validity(const Membrane *f, const Bodies *bodies, const Work *w) {
     if (f->numbers.neo_hookean != 0 && (w->sums.min_root - f->numbers.law_middle) * f->numbers.law_per_unit < -1) return OVERSTRETCHED;
-    return goes_through(f, bodies, w->x, &w->seen) ? TUNNELLING : CONVERGED;
+    return penetrates_membrane(f, bodies, w->x, &w->seen) ? TUNNELLING : CONVERGED;
 }
 
 /* Return the maximum number of face values of a hull, for obstacles `from` to `to` - 1. */
@@ -184,15 +184,15 @@ int64_t qs_solve(const double *numbers, const double *law, int64_t columns, int6
         const Settings *set = (const Settings *)settings + e;
         memset(own, 0, FOUND * sizeof *own);
         qs_pad(&f, 3, own_x, w.x), qs_pad(&f, 1, own_force, w.force);
-        int status = come_to_rest(&f, set, &own_bodies, 0, own_trend, own, &w);
-        if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
+        int status = iterate_to_equilibrium(&f, set, &own_bodies, 0, own_trend, own, &w);
+        if (status == CONVERGED) status = check_validity(&f, &own_bodies, &w);
         if (set->again && (status == TUNNELLING || status == NOT_CONVERGED || status == INVERTED || status == NUMERICAL_FAILURE))
-            status = come_from_rest(&f, set, &own_bodies, rest, own, &w);
-        if (status == CONVERGED) status = can_be(&f, &own_bodies, &w);
+            status = solve_from_rest(&f, set, &own_bodies, rest, own, &w);
+        if (status == CONVERGED) status = check_validity(&f, &own_bodies, &w);
         own[STATUS] = status;
         for (long k = 0; k < n; k++) w.seen.cell[k] = (double)w.swells[k];
         if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);
-        handover(&f, 3, w.x, own_x, own_trend), handover(&f, 1, w.force, own_force, own_trend + 3 * nodes);
+        write_state(&f, 3, w.x, own_x, own_trend), write_state(&f, 1, w.force, own_force, own_trend + 3 * nodes);
     }
     free(faces);
     return 0;

@@ -32,7 +32,7 @@ Work qs_work_in(const Membrane *membrane, const RestHeights *rest, const float *
 /* Compute the forces on the nodes, of heights or in the plane, and related quantities. */
 void update_membrane(const Membrane *membrane, const Settings *set, int parts, Work *work);
 /* Evaluate the obstacles at the nodes, shifted up by `lifted` m. */
-void check_image(const Membrane *membrane, const Bodies *bodies, double lifted, int step, Work *work);
+void update_obstacles(const Membrane *membrane, const Bodies *bodies, double lifted, int step, Work *work);
 /* Extend the window to the lines around nodes that are, or will soon be, in contact. Returns 0 if
    all of them are in the window already. */
 int widen_window(const Membrane *membrane, double near, Work *work);

@@ -90,7 +90,7 @@ void follow_bodies(const Membrane *membrane, const double *x, Seen *seen);
 void lower_round_bodies(const Membrane *membrane, Seen *seen);
 /* Return 1 if an obstacle is behind the membrane between its nodes: by more than they can detect,
    or where none of them is in contact. */
-int goes_through(const Membrane *membrane, const Bodies *bodies, const double *x, const Seen *seen);
+int penetrates_membrane(const Membrane *membrane, const Bodies *bodies, const double *x, const Seen *seen);
 int against_the_frame(const Membrane *membrane, const Settings *set, const Seen *seen);
 /* Compute the springs of a membrane that bends over edges, (4, count) by the side of the node on
    the obstacle. Returns a number that identifies the set of springs. */

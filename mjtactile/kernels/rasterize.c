@@ -2,7 +2,7 @@
 #include "kernels.h"
 #include "small_linalg.h"
 
-static int64_t within(double x, int64_t count) {
+static int64_t clamped_index(double x, int64_t count) {
     return x < 0 ? 0 : x > (double)count ? count : (int64_t)x;
 }
 
@@ -16,10 +16,10 @@ void paint_triangles(int64_t n, const double *corners, const double *rgb, int64_
         }
         double area = (u[1] - u[0]) * (v[2] - v[0]) - (v[1] - v[0]) * (u[2] - u[0]);
         if (!(fabs(area) >= 1e-9)) continue;
-        int64_t c0 = within(ceil(min_of(u[0], min_of(u[1], u[2]))), width);
-        int64_t r0 = within(ceil(min_of(v[0], min_of(v[1], v[2]))), height);
-        int64_t c1 = within(floor(max_of(u[0], max_of(u[1], u[2]))) + 1, width);
-        int64_t r1 = within(floor(max_of(v[0], max_of(v[1], v[2]))) + 1, height);
+        int64_t c0 = clamped_index(ceil(min_of(u[0], min_of(u[1], u[2]))), width);
+        int64_t r0 = clamped_index(ceil(min_of(v[0], min_of(v[1], v[2]))), height);
+        int64_t c1 = clamped_index(floor(max_of(u[0], max_of(u[1], u[2]))) + 1, width);
+        int64_t r1 = clamped_index(floor(max_of(v[0], max_of(v[1], v[2]))) + 1, height);
         for (int64_t r = r0; r < r1; r++)
             for (int64_t c = c0; c < c1; c++) {
                 double x = c - u[0], y = r - v[0];

@@ -35,7 +35,7 @@ typedef struct { double x_cos[HARMONICS + 1], x_sin[HARMONICS + 1], y_cos[HARMON
 
 /* Return the whole pixel of a position. `bin` is the part of a pixel beyond it, rounded to the
    nearest bin. */
-static long whole_pixel(double place, long bins, long *bin) {
+static long split_pixel(double place, long bins, long *bin) {
     long rounded = (long)floor(place * bins + 0.5), pixel = (long)floor((double)rounded / bins);
     *bin = rounded - pixel * bins;
     return pixel;
@@ -43,7 +43,7 @@ static long whole_pixel(double place, long bins, long *bin) {
 
 /* Allocate the patch of a curve within these bounds, which may have no pixels. Returns 1 if memory
    runs out. */
-static int open_patch(Patch *patch, const Canvas *image, const Brush *brush, double x0, double x1, double y0, double y1) {
+static int allocate_patch(Patch *patch, const Canvas *image, const Brush *brush, double x0, double x1, double y0, double y1) {
     double reach = brush->taps / 2 + 2, low_x = floor(x0 - reach), low_y = floor(y0 - reach);
     double high_x = ceil(x1 + reach), high_y = ceil(y1 + reach);
     patch->width = patch->height = 0;
@@ -76,8 +76,8 @@ static inline void dab(float *restrict row, long stride, const float *restrict a
 static void add_point(const Patch *patch, const Brush *brush, double x, double y, float weight) {
     long taps = brush->taps, bin_x, bin_y;
     if (!(fabs(x) < FAR_PX && fabs(y) < FAR_PX)) return;
-    long u = whole_pixel(x, brush->bins, &bin_x) - taps / 2 + 1 - patch->left;
-    long v = whole_pixel(y, brush->bins, &bin_y) - taps / 2 + 1 - patch->top;
+    long u = split_pixel(x, brush->bins, &bin_x) - taps / 2 + 1 - patch->left;
+    long v = split_pixel(y, brush->bins, &bin_y) - taps / 2 + 1 - patch->top;
     const float *across = brush->across + bin_x * taps, *down = brush->down + bin_y * (taps + 1);
     if (u >= 0 && v >= 0 && u + taps <= patch->width && v + taps < patch->height) {
         float *first = patch->rise + v * patch->width + u;
@@ -92,7 +92,7 @@ static void add_point(const Patch *patch, const Brush *brush, double x, double y
 }
 
 /* Add the coverage, of either sign, to the image. */
-static void close_patch(const Patch *patch, const Canvas *image) {
+static void accumulate_patch(const Patch *patch, const Canvas *image) {
     for (long v = 0; v < patch->height; v++) {
         const float *restrict rise = patch->rise + v * patch->width;
         float *restrict sum = patch->rise + (v + 1 < patch->height ? v + 1 : v) * patch->width;
@@ -111,10 +111,10 @@ int64_t fill_curve(int64_t count, const double *nodes, const double *weights, in
     double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
     for (int64_t k = 0; k < 2 * count; k++)
         low[k % 2] = min_of(nodes[k], low[k % 2]), high[k % 2] = max_of(nodes[k], high[k % 2]);
-    if (open_patch(&patch, &image, &brush, low[0], high[0], low[1], high[1])) return NO_MEMORY;
+    if (allocate_patch(&patch, &image, &brush, low[0], high[0], low[1], high[1])) return NO_MEMORY;
     if (patch.height > 0) {
         for (int64_t k = 0; k < count; k++) add_point(&patch, &brush, nodes[2 * k], nodes[2 * k + 1], (float)weights[k]);
-        close_patch(&patch, &image);
+        accumulate_patch(&patch, &image);
     }
     free(patch.rise);
     return 0;
@@ -190,12 +190,12 @@ int64_t render_discs(int64_t n, const double *p_CM, const double *n_C, const dou
     for (int64_t i = 0; i < n; i++) {
         Rim rim = projected_rim(&camera, &waves, p_CM + 3 * i, n_C + 3 * i, radii[i]);
         /* the patch then holds no memory */
-        if (open_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;
+        if (allocate_patch(&patch, &image, &brush, rim.x0, rim.x1, rim.y0, rim.y1)) return NO_MEMORY;
         if (patch.height <= 0) continue;
         Series f = harmonics(&waves, &rim);
         double nodes = max_of(rim.x1 - rim.x0, rim.y1 - rim.y0) * PI * per_px;
         add_rim(&patch, &brush, &f, 8 * (long)ceil(max_of(min_of(nodes, MAX_NODES), 0) / 8) + 16);
-        close_patch(&patch, &image);
+        accumulate_patch(&patch, &image);
     }
     free(patch.rise);
     return 0;

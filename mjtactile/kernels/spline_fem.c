@@ -26,11 +26,11 @@ typedef struct { double D11, D22, D12, D16, D26, D66; } Moduli;
 
 /* Derivatives of the parametric coordinates by position on a non-rectangular opening, and area of
    the opening over area in these coordinates. */
-typedef struct { double x_by_X, x_by_Y, y_by_X, y_by_Y, area; } Turn;
-_Static_assert(sizeof(Turn) == 5 * sizeof(double), "as in kernels.h");
+typedef struct { double x_by_X, x_by_Y, y_by_X, y_by_Y, area; } TangentMap;
+_Static_assert(sizeof(TangentMap) == 5 * sizeof(double), "as in kernels.h");
 
 /* A deformation at the Gauss points, y fastest. */
-typedef struct { long qx, qy; Line *x, *y; Point *points; const Turn *turns; } Sampling;
+typedef struct { long qx, qy; Line *x, *y; Point *points; const TangentMap *turns; } Sampling;
 
 int has_enough_splines(long nx, long ny) { return nx > FEWEST_SPANS && ny > FEWEST_SPANS; }
 
@@ -73,7 +73,7 @@ static void cross(const double *a, const double *b, double *out) {
 }
 
 /* Convert tangents by parametric coordinates to tangents by position. */
-static void turn(const Turn *t, Point *p) {
+static void transform_tangents(const TangentMap *t, Point *p) {
     for (int k = 0; k < 3; k++) {
         const double by_x = p->g1[k] - (k == 0), by_y = p->g2[k] - (k == 1);
         p->g1[k] = (k == 0) + t->x_by_X * by_x + t->y_by_X * by_y;
@@ -82,7 +82,7 @@ static void turn(const Turn *t, Point *p) {
 }
 
 /* Evaluate the deformation `c` (3, n) at the Gauss points. Returns 1 if memory runs out. */
-static int sample(const SplineMembrane *s, const double *c, const Turn *turns, Sampling *l) {
+static int sample(const SplineMembrane *s, const double *c, const TangentMap *turns, Sampling *l) {
     l->turns = turns;
     l->qx = GAUSS * (s->nx - 1), l->qy = GAUSS * (s->ny - 1);
     double *value = malloc(6 * s->ny * sizeof *value), *slope = value + 3 * s->ny;
@@ -104,7 +104,7 @@ static int sample(const SplineMembrane *s, const double *c, const Turn *turns, S
                     }
                     p->z += y->value[b] * value[2 * s->ny + y->first + b];
                 }
-                if (turns) turn(turns + i * l->qy + j, p);
+                if (turns) transform_tangents(turns + i * l->qy + j, p);
                 cross(p->g1, p->g2, p->normal);
             }
         }
@@ -113,7 +113,7 @@ static int sample(const SplineMembrane *s, const double *c, const Turn *turns, S
     return failed;
 }
 
-static void forget(Sampling *l) { free(l->x), free(l->points); }
+static void free_sampling(Sampling *l) { free(l->x), free(l->points); }
 
 static double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -125,7 +125,7 @@ static void strain(const SplineMembrane *s, const Point *p, double *C) {
 
 /* Return q (row 0) or q' (row 1) of sensing/constitutive_law.py at this strain, from its table;
    constant beyond its ends. */
-static double law(const SplineMembrane *s, const double *C, int row) {
+static double law_at(const SplineMembrane *s, const double *C, int row) {
     const SplineNumbers *o = &s->numbers;
     double at = (log(max_of(C[0] * C[1] - C[2] * C[2], MIN_DET)) - o->table_first) * o->table_per_unit;
     double place = clip(at, 0, (double)s->entries - 1);
@@ -140,14 +140,14 @@ static Stress stress(const SplineMembrane *s, const double *C, double scale) {
         double E11 = (C[0] - 1) / 2, E22 = (C[1] - 1) / 2;
         return (Stress){by * (E11 + nu * E22), by * (E22 + nu * E11), by * (1 - nu) * C[2] / 2};
     }
-    double q = law(s, C, 0);
+    double q = law_at(s, C, 0);
     return (Stress){by * (1 - q * C[1]), by * (1 - q * C[0]), by * q * C[2]};
 }
 
 static Moduli moduli(const SplineMembrane *s, const double *C, double scale) {
     double by = scale * s->numbers.lambda2 * s->numbers.modulus, nu = s->numbers.poisson;
     if (s->numbers.neo_hookean == 0) return (Moduli){by, by, nu * by, 0, 0, (1 - nu) / 2 * by};
-    double q = 2 * by * law(s, C, 0), slope = 2 * by * law(s, C, 1), A11 = C[1], A22 = C[0], A12 = -C[2];
+    double q = 2 * by * law_at(s, C, 0), slope = 2 * by * law_at(s, C, 1), A11 = C[1], A22 = C[0], A12 = -C[2];
     return (Moduli){-slope * A11 * A11, -slope * A22 * A22, -slope * A11 * A22 - q, -slope * A11 * A12, -slope * A22 * A12,
                     q / 2 - slope * A12 * A12};
 }
@@ -172,7 +172,7 @@ int64_t spline_state(int64_t nx, int64_t ny, const double *numbers, int64_t entr
     s.law = law_, s.entries = entries;
     Sampling l;
     double sum = 0, *along = malloc(9 * s.ny * sizeof *along), *across = along + 3 * s.ny, *normal = across + 3 * s.ny;
-    int failed = sample(&s, c, (const Turn *)turns, &l) || !along;
+    int failed = sample(&s, c, (const TangentMap *)turns, &l) || !along;
     memset(elastic, 0, 3 * s.n * sizeof *elastic), memset(gradient, 0, 3 * s.n * sizeof *gradient);
     for (long i = 0; i < l.qx && !failed; i++) {
         memset(along, 0, 9 * s.ny * sizeof *along);
@@ -180,7 +180,7 @@ int64_t spline_state(int64_t nx, int64_t ny, const double *numbers, int64_t entr
             const Point *p = l.points + i * l.qy + j;
             const Local *y = &l.y[j].at;
             double C[3], w = l.x[i].weight * l.y[j].weight;
-            const Turn *t = l.turns ? l.turns + i * l.qy + j : NULL;
+            const TangentMap *t = l.turns ? l.turns + i * l.qy + j : NULL;
             if (t) w *= t->area;
             strain(&s, p, C);
             Stress S = stress(&s, C, scale);
@@ -200,7 +200,7 @@ int64_t spline_state(int64_t nx, int64_t ny, const double *numbers, int64_t entr
         }
         add_line(&s, l.x + i, across, along, elastic), add_line(&s, l.x + i, normal, NULL, gradient);
     }
-    free(along), forget(&l);
+    free(along), free_sampling(&l);
     *volume = sum;
     return failed ? NO_MEMORY : 0;
 }
@@ -278,7 +278,7 @@ static void assemble(const SplineMembrane *s, const Sampling *l, double scale, d
                     B1[k] = x->at.slope[a] * y->at.value[b], B2[k] = x->at.value[a] * y->at.slope[b];
                 }
                 if (l->turns) {
-                    const Turn *t = l->turns + (p - l->points);
+                    const TangentMap *t = l->turns + (p - l->points);
                     for (int k = 0; k < LOCAL; k++) {
                         const double by_x = B1[k], by_y = B2[k];
                         B1[k] = t->x_by_X * by_x + t->y_by_X * by_y, B2[k] = t->x_by_Y * by_x + t->y_by_Y * by_y;
@@ -301,9 +301,9 @@ int64_t spline_tangent(int64_t nx, int64_t ny, const double *numbers, int64_t en
     SplineMembrane s = membrane_of(nx, ny, numbers);
     s.law = law_, s.entries = entries;
     Sampling l;
-    int failed = sample(&s, c, (const Turn *)turns, &l);
+    int failed = sample(&s, c, (const TangentMap *)turns, &l);
     if (!failed) assemble(&s, &l, scale, pressure, band);
-    forget(&l);
+    free_sampling(&l);
     return failed ? NO_MEMORY : 0;
 }
 

@@ -7,7 +7,7 @@
 enum { SLOW_TIME, GRASP, SHEAR_GAIN, ELAPSED, UNIFORM };
 enum { MEAN, SD = 6, FRESH = 12, REPORTED = 18, OUTLIERS = 24, BETWEEN = 29, COLUMNS = 30 };
 
-static void at_load(int64_t loads, const double *load, const double *table, double here, double *row) {
+static void interpolate_row(int64_t loads, const double *load, const double *table, double here, double *row) {
     int64_t right = 1;
     while (right < loads - 1 && load[right] < here) right++;
     const double *low = table + COLUMNS * (right - 1), *high = low + COLUMNS;
@@ -16,14 +16,14 @@ static void at_load(int64_t loads, const double *load, const double *table, doub
 }
 
 /* lower triangle */
-static void spread_out(const double *spread, const double *normals, double *out) {
+static void correlate(const double *spread, const double *normals, double *out) {
     for (int i = 0; i < 6; i++) {
         out[i] = 0;
         for (int k = 0; k <= i; k++) out[i] += spread[6 * i + k] * normals[k];
     }
 }
 
-static double lasting(const double *row, int part) { /* variance of the persistent part */
+static double persistent_variance(const double *row, int part) { /* variance of the persistent part */
     return max_of(square(row[SD + part]) - square(row[FRESH + part]), 0);
 }
 
@@ -31,16 +31,16 @@ int64_t sample_errors(int64_t loads, const double *load, const double *table, co
                     const double *reported_correlation, const double *settings, const double *outlier_size, const double *normals, const double *wrench, double *slow,
                     double *row, double *estimated, double *cov) {
     if (loads < 2) return REFUSED;
-    at_load(loads, load, table, max_of(-wrench[2], 0), row);
+    interpolate_row(loads, load, table, max_of(-wrench[2], 0), row);
     double fresh[6], fast[6];
-    spread_out(spread, normals, fresh), spread_out(spread, normals + 6, fast);
+    correlate(spread, normals, fresh), correlate(spread, normals + 6, fast);
     const double kept = exp(-settings[ELAPSED] / settings[SLOW_TIME]), new = sqrt(max_of(1 - kept * kept, 0));
     /* the mean of its square is one */
     const double factor = exp(row[BETWEEN] * (settings[GRASP] - row[BETWEEN]));
     const int out = settings[UNIFORM] < row[OUTLIERS];
     for (int i = 0; i < 6; i++) {
         slow[i] = kept * slow[i] + new *fresh[i];
-        const double lasts = lasting(row, i), untouched = min_of(lasts, lasting(table, i));
+        const double lasts = persistent_variance(row, i), untouched = min_of(lasts, persistent_variance(table, i));
         const double sd = sqrt(untouched + square(factor) * (lasts - untouched));
         const double new_sd = row[FRESH + i] * (out ? outlier_size[i] : 1);
         estimated[i] = wrench[i] + row[MEAN + i] + sd * slow[i] + new_sd * fast[i];

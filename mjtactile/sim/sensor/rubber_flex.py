@@ -134,7 +134,7 @@ class RelaxingMesh:
         self._state = (*terms, *workspace, len(interior), interior)
         unused = np.zeros(3 * len(interior))
         self._remember = bound(
-            "rubber_remembers", *self._membrane, None, *self._state, None, unused
+            "viscoelastic_forces", *self._membrane, None, *self._state, None, unused
         )
         self._act = self._remember
         self.settle(mesh.p_SV)
@@ -146,7 +146,7 @@ class RelaxingMesh:
         long-term rubber, replaced by the present one. Relaxed forces are added to `forces` (3 k,)
         N.
         """
-        self._act = bound("rubber_remembers", *self._membrane, thin, *self._state, rows, forces)
+        self._act = bound("viscoelastic_forces", *self._membrane, thin, *self._state, rows, forces)
 
     def settle(self, p_SV: Array) -> None:
         """Relax the rubber completely in the shape `p_SV` (n, 3), m."""
