@@ -48,7 +48,7 @@ KINDS = (
             "tests/cli/test_calibration_files.py",
             "tests/unit/rig/test_rigfile.py",
             "tests/unit/core/test_toml.py",
-            "tests/physics/test_robots.py::test_what_cannot_be_built_is_refused_in_one_line",
+            "tests/physics/test_robots.py::test_an_invalid_robot_is_refused_in_one_line",
         ),
     ),
     Kind(

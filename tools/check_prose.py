@@ -24,7 +24,7 @@ LIMITS = {
     "docstring sentence, mean words": 11.2,
     "'what' per 10 000 words of code text": 1.0,
     "words to avoid per 10 000 words of code text": 1.2,
-    "identifiers that end in _most or _least": 0.0,
+    "identifiers that end in _most or _least, or contain what": 0.0,
     "documentation sentence, mean words": 12.4,
     "documentation sentences above 40 words, %": 0.2,
     "documentation paragraphs above 100 words, %": 0.2,
@@ -42,6 +42,7 @@ AVOID = re.compile(
     re.IGNORECASE,
 )
 """Words and phrases with a standard replacement in the table of CONTRIBUTING."""
+EXTREME = re.compile(r"(_|^)(most|least)$|(_|^)what(_|$)")
 VERBS = frozenset(Path(__file__).with_name("docstring_verbs.txt").read_text("utf-8").split())
 """First words of function docstrings. Add a verb if none of these fits."""
 _HEADING = re.compile(r"\s*(Args|Returns|Raises|Attributes|Yields|Notes?|Examples?)\s*:?\s*$")
@@ -61,7 +62,7 @@ class Text:
     comments: list[str] = field(default_factory=list)
     paragraphs: list[str] = field(default_factory=list)
     extreme_names: set[str] = field(default_factory=set)
-    """Identifiers that end in _most or _least."""
+    """Identifiers that end in _most or _least, or contain the word what."""
     size: int = 0
     """Words of all pages, tables and headings included."""
 
@@ -96,7 +97,7 @@ def read_code(folder: Path) -> Text:
         for token in tokenize.generate_tokens(io.StringIO(source).readline):
             if token.type == tokenize.COMMENT:
                 text.comments.append(token.string.lstrip("# "))
-            elif token.type == tokenize.NAME and re.search(r"(_|^)(most|least)$", token.string):
+            elif token.type == tokenize.NAME and EXTREME.search(token.string):
                 text.extreme_names.add(token.string)
     return text
 
@@ -218,6 +219,7 @@ def main() -> int:
     code = read_code(root / "mjtactile")
     for folder in ("benchmarks", "controllers", "tools"):
         code.functions += read_code(root / folder).functions
+    code.extreme_names |= read_code(root / "tests").extreme_names
     values = measure(code, documents, read_pages(records))
     above = [name for name, value in values.items() if value > LIMITS[name] + 0.05]
     if above or options.worst:

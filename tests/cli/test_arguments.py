@@ -59,7 +59,7 @@ def test_an_option_takes_a_value_with_a_leading_minus(value):
         (["grasp", "--effects", "-follower pressure"], "effects", "-follower pressure"),
     ],
 )
-def test_the_value_is_what_was_written(words, name, value):
+def test_the_value_equals_the_written_text(words, name, value):
     assert getattr(PARSER.parse_args(words), name) == value
 
 

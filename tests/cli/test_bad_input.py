@@ -144,7 +144,7 @@ def test_a_controller_that_misbehaves_is_named(command, tmp_path, body, words):
 
 
 @pytest.mark.slow
-def test_what_was_recorded_before_a_controller_failed_is_kept(command, tmp_path):
+def test_a_recording_before_a_controller_failure_is_kept(command, tmp_path):
     (tmp_path / "bad.py").write_text("""
 def step(observation):
     if observation.time > 2.5:

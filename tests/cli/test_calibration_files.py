@@ -104,7 +104,7 @@ def test_two_fingers_of_one_name_and_no_fingers_are_refused(rig, tmp_path, capsy
     one_line(capsys, "rig.toml", *words)
 
 
-def test_doctor_states_what_is_missing_refused_and_outdated(rig, tmp_path, capsys):
+def test_doctor_lists_missing_refused_and_outdated_files(rig, tmp_path, capsys):
     # of other values than the sensor file's
     stale = ForceScale(1.02, 0.01, 1.5, stamp(load_sensor("paper16"), {}, {}))
     load_calibration(tmp_path / "left.json").with_part(stale).with_refusal("frame", ["bent"]).save(
@@ -146,7 +146,7 @@ def test_the_measured_backlash_of_the_gripper_is_compensated(rig, tmp_path):
     assert calibrated_gripper(config).backlash == pytest.approx(2e-4, rel=1e-3)
 
 
-def test_what_was_measured_of_the_gripper_is_used_until_the_rig_file_changes(rig, tmp_path):
+def test_gripper_calibration_is_used_until_the_rig_file_changes(rig, tmp_path):
     rows = "\n".join(["reported_N,measured_N", *(f"{f},{0.9 * f}" for f in (1, 2, 3, 4))])
     (tmp_path / "cell.csv").write_text(rows)
     assert (

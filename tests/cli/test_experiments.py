@@ -35,7 +35,7 @@ def test_inflate_reports_height_and_theory(capsys, tmp_path):
     assert {p.name for p in (tmp_path / "o").iterdir()} == {"inflate.json", "inflate.png"}
 
 
-def test_press_estimates_what_the_load_cell_reads(capsys):
+def test_press_estimates_equal_the_load_cell(capsys):
     result = run_json(capsys, "press", "--indenter", "sphere:16", "--depth-mm", "1:2:1")
     for step in result["steps"]:
         assert step["converged"] and step["status"] == "ok"
@@ -57,7 +57,7 @@ def test_press_estimates_what_the_load_cell_reads(capsys):
     assert "shape" not in result["flags"]
 
 
-@pytest.mark.slow  # test_press_estimates_what_the_load_cell_reads is another `press`
+@pytest.mark.slow  # test_press_estimates_equal_the_load_cell is another `press`
 def test_press_simulates_a_mesh_that_has_the_shape_it_reports(capsys):
     press = ("press", "--indenter", "sphere:5.3")
     fine = run_json(capsys, *press)

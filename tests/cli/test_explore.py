@@ -20,7 +20,7 @@ def refused(capsys, *arguments):
     return lines[0]
 
 
-def test_what_is_refused(capsys, tmp_path):
+def test_invalid_requests_are_refused(capsys, tmp_path):
     assert "--touches" in refused(capsys, "--touches", "0")
     assert "half of the breaking force of 'egg', 2.5 N" in refused(
         capsys, "--object", "egg", "--force-N", "1.6"

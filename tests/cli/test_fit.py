@@ -46,7 +46,7 @@ def open_text(name):
     return resources.find(name, "models/sensors", ".toml").read_text()
 
 
-def test_the_recording_does_not_state_what_the_as_built_sensor_is(recording):
+def test_a_recording_does_not_contain_the_as_built_sensor(recording):
     found = load_recording(recording)
     assert (
         found.complete

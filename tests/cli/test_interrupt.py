@@ -15,7 +15,7 @@ GRASP += ["--workers", "1"]  # a process that the signal must end, too
 WAIT = 600  # time limit for the start of the run on a heavily loaded computer, s
 
 
-def test_what_was_recorded_is_kept(tmp_path):
+def test_an_interrupted_recording_is_kept(tmp_path):
     process = subprocess.Popen(
         [*GRASP, "--json"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )

@@ -27,7 +27,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(manual, "STEPS", manual.STEPS[:1])  # one picture of parts
 
 
-def test_the_folder_states_what_is_in_it(quick, capsys, tmp_path):
+def test_the_folder_has_a_list_of_its_files(quick, capsys, tmp_path):
     out = tmp_path / "build"
     assert main(["fabricate", "paper16", "--out", str(out), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -53,7 +53,7 @@ def test_the_folder_states_what_is_in_it(quick, capsys, tmp_path):
     assert "nothing is overwritten" in capsys.readouterr().err
 
 
-def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
+def test_an_infeasible_design_gives_one_line_and_no_folder(capsys, tmp_path):
     assert main(["new", "sensor", str(tmp_path / "mine")]) == 0
     path = tmp_path / "mine.toml"
     path.write_text(path.read_text().replace("wall_mm = 3.0", "wall_mm = 0.5"))
@@ -70,7 +70,7 @@ def test_what_cannot_be_built_leaves_one_line_and_no_folder(capsys, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_what_is_missing_is_named(monkeypatch, capsys, tmp_path):
+def test_missing_parts_are_named(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(
         "mjtactile.fabrication.mesh.find_spec", lambda name: None if name == "manifold3d" else name
     )

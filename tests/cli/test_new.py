@@ -80,7 +80,7 @@ def test_a_random_object_is_written_to_be_viewed(command, tmp_path):
     )
 
 
-def test_what_it_states_to_run_next_runs(command, tmp_path):
+def test_the_printed_next_command_runs(command, tmp_path):
     process = command("new", "sensor", "mine")
     assert process.returncode == 0 and process.stderr == ""
     words = process.stdout.splitlines()[1].split()

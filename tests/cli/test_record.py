@@ -50,7 +50,7 @@ def test_nothing_is_commanded(folder):
     assert [phase for phase, *_ in recording.phases()][-1] == "done"
 
 
-def test_what_made_it_is_in_it(folder):
+def test_a_recording_contains_its_provenance(folder):
     header = load_recording(folder).header
     assert header["versions"]["mjtactile"] and header["versions"]["opencv"]
     assert "[membrane]" in header["files"]["sensor"]["text"]

@@ -117,7 +117,7 @@ def glibc_needed(library):
     return max((int(a), int(b)) for a, b in re.findall(rb"GLIBC_(\d+)\.(\d+)", library))
 
 
-def test_the_source_distribution_has_what_a_checkout_needs(source):
+def test_the_source_distribution_is_complete(source):
     with tarfile.open(source) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
     for needed in ("pyproject.toml", "hatch_build.py", "Makefile", "requirements.lock", "LICENSE"):

@@ -72,7 +72,7 @@ def go(rig, command, time):
 # --------------------------------------------------------------------------------
 
 
-def test_none_keeps_the_limit_and_what_is_returned_has_it(rig):
+def test_none_keeps_the_limit_and_the_returned_command_has_it(rig):
     opening = rig.gripper.state().opening
     first = rig.gripper.command(Command(opening, None)).force_limit
     assert first is not None and first > 0
@@ -81,7 +81,7 @@ def test_none_keeps_the_limit_and_what_is_returned_has_it(rig):
         assert rig.gripper.command(Command(opening, None)).force_limit == limit
 
 
-def test_what_is_returned_keeps_the_limits_of_the_rig(rig):
+def test_the_returned_command_is_within_the_limits_of_the_rig(rig):
     far = Command(9.0, 1e6, 9.0)
     near = Command(-9.0, -1.0, -9.0)
     start = Command(rig.gripper.state().opening, 1.0)
@@ -156,7 +156,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_a_replay_answers_with_what_was_sent(folder):
+def test_a_replay_returns_the_recorded_commands(folder):
     rig = build_replay_rig(str(folder))
     limits = load_recording(folder).columns["command_force_limit"]
     for _ in range(200):
@@ -200,12 +200,12 @@ def test_a_replay_does_not_invent_a_limit():
 @pytest.mark.parametrize(
     "field", [name for name, one in COMMAND_FIELDS.items() if one.kind == "number"]
 )
-def test_what_is_no_finite_number_is_refused(field, value):
+def test_non_finite_numbers_are_refused(field, value):
     with pytest.raises(InputError, match=field):
         replace(Command(0.05, 1.0), **{field: value})
 
 
-def test_only_what_reports_it_can_be_none():
+def test_only_documented_fields_can_be_none():
     kept = Command(0.05, None)
     assert kept.force_limit is None and kept.gauge_pressure is None
     assert {name for name, one in COMMAND_FIELDS.items() if one.none} == {

@@ -198,7 +198,7 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
 
 
 @pytest.mark.slow
-def test_gentle_on_a_replay_requests_what_it_requested(tmp_path):
+def test_gentle_on_a_replay_repeats_its_commands(tmp_path):
     rig = near_rig("sim_three_finger", seed=0)
     try:
         first = run_gentle(rig, tmp_path / "first", until="regulate")

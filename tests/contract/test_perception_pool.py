@@ -79,7 +79,7 @@ def children():
 
 
 @ONE_OR_TWO
-def test_what_is_estimated_arrives_complete_and_read_only_and_so_do_the_states(pool):
+def test_estimates_and_states_arrive_complete_and_read_only(pool):
     pipelines = [Feels(), Feels()]
     for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
         with pool.at_work(pipelines, NAMES) as both:

@@ -113,7 +113,7 @@ def rig(request):
         rig.close()
 
 
-def test_its_parts_are_what_the_protocols_state(rig):
+def test_its_parts_satisfy_the_protocols(rig):
     assert len(rig.cameras) == len(rig.fingers) == (3 if rig.name == "sim_three_finger" else 2)
     assert len({finger.name for finger in rig.fingers}) == len(rig.fingers)
     assert all(isinstance(camera, CameraDevice) for camera in rig.cameras)
@@ -330,7 +330,7 @@ def test_a_replay_ends_where_the_recording_does(recording_folder):
         session.run(Endless(), time_limit=60.0, on_cycle=lambda cycle: None)
 
 
-def test_what_cannot_be_replayed_is_refused(tmp_path):
+def test_unsupported_replays_are_refused(tmp_path):
     with Recorder(tmp_path, {"object": "egg"}):
         pass
     with pytest.raises(InputError, match="cannot be replayed"):

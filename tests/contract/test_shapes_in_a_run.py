@@ -45,7 +45,7 @@ def controller(tmp_path):
     return load_controller(path)
 
 
-def test_a_controller_states_what_it_reads(tmp_path, controller):
+def test_a_controller_declares_its_inputs(tmp_path, controller):
     assert controller.reads == ("contact_shape",)
     path = tmp_path / "wrong.py"
     path.write_text(CLOSES.replace('("contact_shape",)', '("colour",)'))

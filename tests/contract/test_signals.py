@@ -174,7 +174,7 @@ def test_a_controller_that_fails(emulator, tmp_path, fault):
 
 
 @pytest.mark.slow(25)
-def test_a_host_that_stood_still_finds_what_it_held_and_sets_it_down(emulator, tmp_path):
+def test_a_resumed_host_finds_its_held_object_and_sets_it_down(emulator, tmp_path):
     """With `on_host_loss = "hold"`: its servos' watchdogs have tripped, its chambers are sealed."""
     with host(emulator, tmp_path, loss="hold") as running:
         running.wait_for_phase("hold")

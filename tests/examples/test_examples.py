@@ -258,7 +258,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     assert all("stale" in status for status in reported - {"ok"})
 
 
-def test_train_a_policy_finds_what_a_teacher_did():
+def test_train_a_policy_recovers_the_teacher():
     """The fit recovers a linear teacher; an input that never changed gets no weight."""
     example = run("train_a_policy")
     rng = np.random.default_rng(0)

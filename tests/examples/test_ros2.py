@@ -200,7 +200,7 @@ def cameras():
     return [effective_camera(load_sensor("dense")).camera] * 2
 
 
-def test_what_the_node_publishes_is_what_was_estimated(ros):
+def test_the_node_publishes_the_estimates(ros):
     node = configured()
     cycle = fake_cycle(30)  # at 1 s on the rig's clock, 0.01 s ago
     node.start_cycle(1.01)

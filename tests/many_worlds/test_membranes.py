@@ -155,7 +155,7 @@ def test_blades_and_pins_between_nodes():
     assert pressure == pytest.approx(gauge, rel=3e-3)
 
 
-def test_what_is_not_supported_is_refused():
+def test_unsupported_membranes_are_refused():
     with pytest.raises(InputError, match="nodes; at most 1344"):
         Membranes("dense", 1, grid=(61, 46), device="cpu")
 

@@ -67,7 +67,7 @@ def on_the_cpu():
         yield
 
 
-def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_what_differs():
+def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_their_parameters():
     """The first world also has the forces of MuJoCo."""
     model, tip = scene(**BOX)
     m, d, touch = worlds_of(model, tip, 3)
@@ -144,7 +144,7 @@ WALL = """
 
 
 @pytest.mark.parametrize("heights", [(0.0015, 1.0), (1.0, 0.0015)], ids=["plane", "mesh"])
-def test_a_sensor_that_moves_touches_what_is_fixed_to_the_world(heights):
+def test_a_moving_sensor_touches_geoms_fixed_to_the_world(heights):
     """1 % of the force: the tolerances of both solvers. First contact has no shear on the CPU."""
     model, tip = bound_to_hand(WALL.format(floor=heights[0], wedge=heights[1]))
     data = mujoco.MjData(model)
@@ -170,7 +170,7 @@ def bound_to_hand(text):
     return model, tip
 
 
-def test_what_cannot_be_bound_is_named():
+def test_unsupported_geoms_are_named():
     spec = mujoco.MjSpec.from_string(SCENE.format(**BOX))
     mjtactile.configure_options(spec, STEP)
     meshed = mjtactile.attach(spec, "dense", site="tip", prefix="tip/")

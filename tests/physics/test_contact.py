@@ -135,7 +135,7 @@ EDGES = {"cylinder:5": 0.537, "box:12": 0.798}
 
 
 @pytest.mark.parametrize("indenter", EDGES)
-def test_an_edge_costs_what_the_flag_states(indenter):
+def test_the_force_error_of_an_edge_equals_the_flag(indenter):
     """The truth, and the statement: an edge falls between vertices, and the force of a face is too
     low by up to a third."""
     (force, _), world = pressed(indenter, (2e-3,))

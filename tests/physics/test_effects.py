@@ -140,7 +140,7 @@ def test_camera_switches_act_on_image_or_on_both_sides():
     assert set_camera_effects(set_design(DENSE, everything), everything) == DENSE
 
 
-def test_auto_keeps_what_the_shipped_scene_needs():
+def test_auto_keeps_the_effects_of_the_shipped_scene():
     on = choose(DENSE, load_object("egg")).on
     assert on >= PHYSICS | CAMERA
     assert (
@@ -232,7 +232,7 @@ def test_forcing():
 @pytest.mark.parametrize(
     "text", ["bending", "+nonsense", "+plasticity", "-large deflection", "++gas"]
 )
-def test_forcing_what_cannot_be_is_refused(text):
+def test_forcing_an_unavailable_effect_is_refused(text):
     with pytest.raises(InputError):
         parse(text)
 

@@ -68,7 +68,7 @@ def bulge(sensor):
         ({"size": '<size memory="100K"/>'}, ["size.memory: 102400"]),
     ],
 )
-def test_recommended_options_state_what_they_changed_and_then_carry_a_sensor(changes, reported):
+def test_recommended_options_list_their_changes_and_then_support_a_sensor(changes, reported):
     spec, changed = theirs(**changes)
     assert all(any(words in line for line in changed) for words in reported)
     assert configure_options(spec) == ()

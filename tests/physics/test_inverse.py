@@ -291,7 +291,7 @@ def test_rows_of_slopes_are_their_derivative(truth):
     np.testing.assert_allclose(predicted, change, rtol=1e-5, atol=1e-11)
 
 
-def test_slopes_show_what_sparse_markers_miss(truth):
+def test_slopes_reduce_the_error_of_sparse_markers(truth):
     """Marker slopes reduce the force error of a flat face on sparse markers.
 
     The face covers the four central markers. Their slopes show that it is flat; heights alone allow

@@ -101,7 +101,7 @@ def test_areas_are_those_of_the_closed_forms():
         ({"shape": "rounded", "corner_radius": 0.016}, "does not fit"),
     ],
 )
-def test_what_is_no_outline_is_refused(changes, words):
+def test_invalid_outlines_are_refused(changes, words):
     with pytest.raises(ValueError, match=words):
         _ = replace(ROUND.frame, **changes).outline
 

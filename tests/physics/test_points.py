@@ -24,7 +24,7 @@ def pressed(indenter: Indenter, at: tuple[float, float], mesh: tuple[int, int]) 
 @pytest.mark.parametrize(
     ("name", "reference"), [("wedge.xml", 0.390), ("cone.stl", 0.1198), ("corner.xml", 0.1211)]
 )
-def test_what_is_sharp_presses_between_vertices_too(name, reference, mesh):
+def test_a_sharp_object_presses_between_vertices(name, reference, mesh):
     """A sharp indenter 0.6 mm off the vertices has the force of an independent solver
     (models/reference_cases) within 8 %.
 

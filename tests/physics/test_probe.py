@@ -81,7 +81,7 @@ def test_class(capsys, name, kind, sensor, brisk):
 
 
 @pytest.mark.parametrize("name", list(SHIPPED))
-def test_shipped_as_built_sensors_are_what_their_writer_writes(name):
+def test_shipped_as_built_sensors_equal_the_output_of_their_writer(name):
     sample, comment = SHIPPED[name]
     path = resources.find(name, "models/objects", ".xml")
     assert path.read_text(encoding="utf-8") == to_mjcf(sample, name, comment)

@@ -38,7 +38,7 @@ def test_force_and_pressure_are_those_of_the_mesh(at):
 
 
 @pytest.mark.parametrize(("radius", "narrow"), [(0.008, False), (0.0015, True)])
-def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
+def test_objects_narrow_for_the_grid_are_flagged(radius, narrow):
     world = PressWorld(DENSE, Indenter("sphere", radius), effects=QUASISTATIC)
     world.inflate(1000.0, seal=True)
     assert "small_feature" not in world.sensors[0].flags()  # not before it touches
@@ -46,7 +46,7 @@ def test_what_is_narrow_for_the_grid_is_flagged(radius, narrow):
     assert ("25 %" in world.sensors[0].flags().get("small_feature", "")) is narrow
 
 
-def test_what_presses_meets_what_the_membrane_bears():
+def test_the_force_on_an_object_equals_the_force_on_the_membrane():
     world = pressed(QUASISTATIC, 2e-3, shear=1e-4)
     # at rest the drive carries all of it; its own springs still settle, by 0.03 mN
     assert world.drive_force == pytest.approx(ground_truth.contact_force(world, 0), abs=1e-4)
@@ -214,7 +214,7 @@ def test_light_and_heavy_balls_are_held_and_do_not_creep(mass, gap):
     assert np.mean(carried) == pytest.approx(mass * G, rel=2e-4)
 
 
-def test_what_is_held_by_jointed_pieces_is_damped_as_a_single_piece():
+def test_an_object_of_jointed_parts_is_damped_like_a_single_body():
     """Without that, strawberries swung ever more between films, until they were dropped."""
     single, pieces = (  # damping in N s/m, before weight sets in
         membrane_interval(of(0.01, 0.02), 0.0212, seconds=0.01).model.dof_damping[:3]
@@ -243,7 +243,7 @@ def test_pieces_side_by_side_rest(gap):
     assert world.data.qpos[2] == pytest.approx(height, abs=1e-6)
 
 
-def test_what_friction_cannot_hold_falls():
+def test_an_object_beyond_the_friction_limit_falls():
     world = membrane_interval(ball_of(0.01, 0.15), 0.0222)
     grip = -ground_truth.contact_force(world, 0)[2]
     assert world.data.qpos[2] < -0.02 or 2 * DENSE.membrane.friction * grip < 0.15 * G
@@ -261,7 +261,7 @@ def test_forces_of_the_user_stay():
     assert world.data.qpos[2] == pytest.approx(height, abs=7e-6)
 
 
-def test_what_a_membrane_cannot_rest_on_is_refused():
+def test_unsupported_obstacles_are_refused():
     spec = mujoco.MjSpec()
     configure_options(spec)
     site = spec.worldbody.add_site(name="s")
@@ -294,7 +294,7 @@ def next_to_sensor(height):
     return world, sensor
 
 
-def test_what_lies_on_the_rim_is_borne_and_reported():
+def test_an_object_on_the_rim_is_supported_and_reported():
     """The sheet's middle is half its thickness below the face that lies on the frame."""
     above, on = (next_to_sensor(height)[1] for height in (4e-4, 0.0))
     assert above.failure() is None and "rim_contact" not in above.flags()
@@ -302,7 +302,7 @@ def test_what_lies_on_the_rim_is_borne_and_reported():
     assert on.wrench[2] < above.wrench[2] < -0.1  # force, N
 
 
-def test_what_is_far_below_the_rim_is_carried_and_named():
+def test_an_object_far_below_the_rim_is_supported_and_named():
     """The membrane is fixed at the rim and lies on the ball next to it, as on a mesh."""
     world, sensor = next_to_sensor(-1e-3)
     at_rim = next_to_sensor(0.0)[1]
@@ -331,7 +331,7 @@ def test_in_a_round_frame_markers_stand_where_sensing_s_membrane_has_them(name):
     assert np.array_equal(world.sensors[0].p_SV[rim], mesh.p_SV[rim])
 
 
-def test_in_a_round_frame_it_bears_what_the_mesh_bears():
+def test_a_round_membrane_has_the_force_of_the_mesh():
     design = load_sensor("round30")
     force = []
     for effects in (PHYSICS, QUASISTATIC):

@@ -54,7 +54,7 @@ def test_steps_in_one_go_are_those_one_by_one():
 
 
 @pytest.mark.parametrize("task", ["bump", "shake"])
-def test_what_happens_to_it_does_so_in_the_same_steps(task):
+def test_disturbances_occur_in_the_same_steps(task):
     """A held egg is lifted, and pushed or shaken, which begins at a height and at a time: bit for
     bit as step by step."""
     found = []
@@ -82,7 +82,7 @@ def test_what_happens_to_it_does_so_in_the_same_steps(task):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_what_is_filled_weighs_what_it_should_in_the_end():
+def test_a_filled_object_has_the_specified_final_mass():
     """A filled object has the same final mass in batched and single steps; its mass grows in steps
     of a hundredth of a second."""
     masses = []
@@ -141,7 +141,7 @@ def test_reading_changes_nothing(leak, ahead):
     assert found[0][1][2] < -0.2  # force in N: the object is held
 
 
-def test_what_goes_wrong_ends_it_in_that_step():
+def test_a_failure_ends_the_episode_in_that_step():
     rig, world = gripper_rig()
     world.data.qvel[-6:-3] = np.nan
     before = world.step_count

@@ -165,7 +165,7 @@ def test_terms_shorter_than_a_step_are_stable():
 
 
 @pytest.mark.parametrize("left_out", [Effect.MESH, Effect.HYPERELASTICITY])
-def test_what_does_not_relax_reports_it(left_out):
+def test_a_membrane_without_relaxation_reports_it(left_out):
     with pytest.raises(InputError, match="relax"):
         PressWorld(replace(DENSE, relaxation=TWO), BALL, effects=PHYSICS - {left_out})
 

@@ -94,7 +94,7 @@ def test_a_sensor_that_is_only_different_is_not_refused(sensor):
         ("sphere:10", 0.8e-3, (8e-3, 5e-3)),
     ],
 )
-def test_what_touches_meanwhile_is_found(sensor, indenter, depth, at):
+def test_contact_during_the_reference_is_detected(sensor, indenter, depth, at):
     """A contact of 0.09 to 0.13 N during the references is detected.
 
     Undetected, it would be estimated as a stiffer membrane, with force errors larger than that.

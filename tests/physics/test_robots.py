@@ -118,7 +118,7 @@ def test_an_arm_that_carries_its_own_weight_does_not_sag(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["sim_arm", "sim_three_finger"])
-def test_statics_of_what_is_held(name):
+def test_statics_of_a_held_object(name):
     world = make(name, opening=0.045, timestep=1 / 240)
     for sensor in range(len(world.sensors)):
         world.sensors[sensor].open_valve()
@@ -182,7 +182,7 @@ def test_actuators_with_a_gain_of_their_own_and_a_pair_of_them(tmp_path):
     assert np.linalg.norm(p_WS[1] - p_WS[0]) == pytest.approx(0.05, abs=1e-5)
 
 
-def test_a_rig_that_does_not_lift_holds_what_it_grips(tmp_path):
+def test_a_rig_without_a_lift_holds_its_object(tmp_path):
     text = 'kind = "actuator"\nactuator = "lift"'
     world = make(variant(tmp_path, "sim", rig=[(text, 'kind = "none"')]))
     world.set_lift_target(0.04)
@@ -283,7 +283,7 @@ def test_a_base_that_is_turned_in_a_frame_is_raised_straight_up(tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_built_is_refused_in_one_line(tmp_path, name, model, rig, message):
+def test_an_invalid_robot_is_refused_in_one_line(tmp_path, name, model, rig, message):
     with pytest.raises(InputError, match=message) as caught:
         make(variant(tmp_path, name, model, rig))
     assert "\n" not in str(caught.value)
@@ -386,7 +386,7 @@ def test_the_doctor_finds_the_shipped_ones_well(name):
         ),
     ],
 )
-def test_the_doctor_states_what_is_wrong(tmp_path, name, model, rig, found):
+def test_the_doctor_reports_each_fault(tmp_path, name, model, rig, found):
     findings = bad(examine_simulated(variant(tmp_path, name, model, rig)))
     assert [any(text.startswith(words) for text in findings) for words in found] == [True] * len(
         found

@@ -21,7 +21,7 @@ NU = 0.45
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_soft_bodies_are_what_their_writer_writes(name):
+def test_shipped_soft_bodies_equal_the_output_of_their_writer(name):
     body, comment = SHIPPED[name]
     assert resources.find(name, "models/objects", ".xml").read_text() == to_mjcf(
         body, name, comment

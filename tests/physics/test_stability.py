@@ -32,7 +32,7 @@ def test_a_plain_press_is_plainly_ok():
 
 
 @pytest.mark.parametrize(("problem", "words"), [("force", "quarter"), ("settled", "settle")])
-def test_the_score_fails_what_nothing_explains(monkeypatch, problem, words):
+def test_the_score_fails_unexplained_errors(monkeypatch, problem, words):
     case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "8 ms"))
 
     def measure(case):
@@ -102,7 +102,7 @@ def test_a_body_too_fast_for_the_step_is_flagged():
     assert "use a timestep of at most" in world.flags["speed"]
 
 
-def test_an_interrupted_run_keeps_what_it_finished(tmp_path):
+def test_an_interrupted_run_keeps_its_finished_cases(tmp_path):
     log = tmp_path / "stability.jsonl"
     log.write_text(
         '{"axis": "mesh", "label": "7x7, 1 ms", "outcome": "ok"}\n{"axis": "gone", "label": '

@@ -80,7 +80,7 @@ def test_without_the_first_solve_it_is_mj_step_to_the_tolerance(tolerance, left)
     assert data.nidof == model.nv
 
 
-def test_what_nothing_holds_is_solved_first_as_ever():
+def test_a_free_body_is_not_in_the_second_solve():
     """A box in free fall is in no second solve: it falls by g, and the membrane next to it equals
     that of mj_step."""
     model, data, sensor = scene(FLYING)

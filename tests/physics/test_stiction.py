@@ -110,7 +110,7 @@ def test_shear_off_centre_is_that_of_a_membrane_that_sticks():
 
 
 @pytest.mark.parametrize(("timestep", "speed"), [(2e-3, 20e-3), (4e-3, -20e-3), (8e-3, 5e-3)])
-def test_what_slides_is_dragged_with_mu_times_the_normal_force(timestep, speed):
+def test_a_sliding_object_is_dragged_with_mu_times_the_normal_force(timestep, speed):
     world = pressed(timestep=timestep)
     fractions = []
     forces = []
@@ -133,7 +133,7 @@ def test_a_stop_keeps_the_friction_of_the_slide():
     assert used_friction_ratio(world) == pytest.approx(1.0, abs=0.03)
 
 
-def test_what_touches_lies_on_the_membrane_however_soft_the_contact(monkeypatch):
+def test_a_touching_object_lies_on_the_membrane_at_any_contact_stiffness(monkeypatch):
     forces = []
     for factor in (0.5, 1, 2):
         monkeypatch.setattr("mjtactile.sim.sensor.membrane.VERTEX_DEPTH", factor * 160e-6)
@@ -146,7 +146,7 @@ def test_what_touches_lies_on_the_membrane_however_soft_the_contact(monkeypatch)
     np.testing.assert_allclose(forces, forces[1], rtol=0.005)
 
 
-def test_nothing_is_remembered_of_what_is_gone():
+def test_friction_state_is_cleared_after_contact():
     world = pressed()
     world.press(2e-3, 3e-4)
     world.lift_off()

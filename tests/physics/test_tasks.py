@@ -48,7 +48,7 @@ def velocity(world):
     return world.data.cvel[ground_truth.object_bodies(world)[0], 3:].copy()
 
 
-def test_what_is_filled_presses_on_the_table_with_its_weight():
+def test_a_filled_object_presses_on_the_table_with_its_weight():
     world = world_with(event("fill", 0.1, 0.4, mass=0.15))
     bodies = ground_truth.object_bodies(world)
     advance(world, 0.1)
@@ -90,7 +90,7 @@ def test_a_gripper_that_turns_keeps_gravitys_size():
     assert math.degrees(math.acos(-gravity[2] / 9.81)) == pytest.approx(30, abs=0.1)
 
 
-def test_the_place_goes_where_it_is_sent_and_what_stands_there_with_it():
+def test_the_stand_moves_to_its_goal_with_the_object_on_it():
     world = world_with(event("move_support", 0.0, 0.5, height=0.02))
     before = ground_truth.object_position(world)[2]
     advance(world, 0.8)
@@ -284,14 +284,14 @@ def _inputs(world):
     )
 
 
-def test_a_person_who_takes_what_is_released_keeps_it_where_it_is():
+def test_a_person_keeps_a_released_object_at_its_position():
     world = world_with(event("pull", 0.0, 0.1, force=1.0))
     before = ground_truth.object_position(world)
     advance(world, 0.5)
     np.testing.assert_allclose(ground_truth.object_position(world), before, atol=1e-3)
 
 
-def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
+def test_an_object_touched_by_one_finger_is_not_pulled_and_stays_taken():
     """Two fingers hold it; one does not, and who has it is not pulled at again when it touches."""
     happens = DisturbanceSchedule(GraspWorld("paper16", "vial", mesh=MESH), [], 0.0)
     touched = [SimpleNamespace(is_touched=True), SimpleNamespace(is_touched=True)]
@@ -311,7 +311,9 @@ def test_what_one_finger_touches_is_no_longer_pulled_at_and_stays_taken():
     ("phase", "failure"),
     [("release", ""), ("hold", "it was pulled out of the gripper, which did not open")],
 )
-def test_what_slides_out_of_a_closed_gripper_was_not_handed_over(monkeypatch, phase, failure):
+def test_an_object_that_slides_out_of_a_closed_gripper_is_not_handed_over(
+    monkeypatch, phase, failure
+):
     scorer = TaskScorer(GraspWorld("paper16", "vial", mesh=MESH), load_task("hand-over"), pulls=0.0)
     monkeypatch.setattr(TaskScorer, "is_up", lambda _: True)
     scorer.after_step_batch([0.4, 0.4], "hold")

@@ -63,7 +63,7 @@ def test_a_pad_behind_the_glass_is_not_named():
 @pytest.mark.parametrize(
     ("contype", "conaffinity"), [(1, 1), (0, 1), (2, 2)], ids=["default", "affinity", "other bits"]
 )
-def test_mujocos_rule_decides_what_the_membrane_carries(contype, conaffinity, effects):
+def test_mujocos_collision_rule_selects_the_geoms_on_the_membrane(contype, conaffinity, effects):
     """A geom that collides with a default geom by its conaffinity alone rests on the membrane."""
     bits = f'contype="{contype}" conaffinity="{conaffinity}"'
     finger = run(f'<geom size="0.01" mass="0.05" {bits}/>', 0.0145, effects=effects)

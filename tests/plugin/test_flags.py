@@ -65,7 +65,7 @@ def test_a_box_is_weighed_and_its_edges_are_flagged(turned, above, steps):
     assert touch.force_normal == pytest.approx(0.05 * G, abs=min(3 * touch.force_normal_sd, 0.06))
 
 
-def test_what_diverged_stops_though_mujoco_would_reset_it():
+def test_a_diverged_simulation_stops_although_mujoco_resets_it():
     model, data, finger = scene(BALL)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     mjtactile.step(model, data, [finger], nstep=5)

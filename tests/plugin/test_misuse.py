@@ -79,7 +79,7 @@ def test_a_finger_is_given_once_and_is_a_finger(bound):
         mjtactile.step(model, data, [None])
 
 
-def test_what_is_not_finite_is_refused_by_name():
+def test_non_finite_values_are_refused_by_name():
     """A membrane at NaN touches nothing: it would report no contact with status "ok"."""
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec)
@@ -192,7 +192,7 @@ def test_names_next_to_a_scenario_are_refused():
         GraspEnv(scenario=mjtactile.Scenario(effects=SYNTHETIC), object="cube")
 
 
-def test_an_environment_names_what_is_wrong_with_its_use():
+def test_an_environment_names_each_misuse():
     env = GraspEnv(effects=SYNTHETIC)
     for copied in COPIES:
         with pytest.raises(InputError, match="GraspEnv: cannot be copied or pickled"):

@@ -35,7 +35,9 @@ def short(monkeypatch):
         for name, each in QUASISTATIC.items()
     ],
 )
-def test_what_is_thin_is_estimated_between_the_vertices_and_fast(name, membrane, fraction):
+def test_a_thin_object_between_the_vertices_has_the_right_force_at_low_cost(
+    name, membrane, fraction
+):
     """A thin object has the force of the quasi-static membrane within the fraction `fraction`.
 
     This holds on a row of vertices at 10 and 100 mm/s, and off it; the forces agree within 10 %.
@@ -134,7 +136,7 @@ def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
         press(pin, (1.5e-3, 1.5e-3), 0.05, contact="vertices")
 
 
-def test_what_slips_between_vertices_is_reported_when_the_scene_is_built(monkeypatch):
+def test_objects_that_pass_between_vertices_are_reported_when_the_scene_is_built(monkeypatch):
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     spec, mount = scene('<geom name="peg" type="cylinder" size="0.001 0.01"/>', contact="vertices")
     model = spec.compile()

@@ -116,7 +116,7 @@ def names(rows):
     return [f"{page}:{number}" for page, number, *_ in rows]
 
 
-def test_the_tables_name_what_there_is():
+def test_the_tables_name_existing_commands():
     there = {(page, number) for page, number, _ in PYTHON}
     assert set(TESTED) | PARSED <= there
     assert {(page, number) for page, number, _ in fenced("bash", "sh")} >= SHELL
@@ -163,7 +163,7 @@ def options_of(words):
 
 
 @pytest.mark.parametrize(("page", "line"), LINES, ids=lambda value: value[:70])
-def test_a_line_of_a_shell_names_what_there_is(page, line, monkeypatch, tmp_path):
+def test_a_shell_line_names_existing_commands(page, line, monkeypatch, tmp_path):
     words = shlex.split(line, comments=True)
     words = words[: words.index("&&")] if "&&" in words else words
     if words[0] == "mjtactile":

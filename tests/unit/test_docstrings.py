@@ -46,7 +46,7 @@ CLASSES = {
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_a_function_names_its_arguments_and_what_comes_back(name):
+def test_a_function_names_its_arguments_and_results(name):
     function = FUNCTIONS[name]
     signature = inspect.signature(function)
     assert set(signature.parameters) - {"self", "cls"} <= set(section(function, "Args"))

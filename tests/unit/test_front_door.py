@@ -24,7 +24,7 @@ def test_type_checkers_and_users_get_the_same_names():
 
 
 @pytest.mark.parametrize("name", mjtactile.__all__)
-def test_every_name_is_what_type_checkers_think_and_is_documented(name):
+def test_every_name_agrees_with_type_checkers_and_is_documented(name):
     value = getattr(mjtactile, name)
     assert imported_for_types()[name] == (value.__module__, name)
     assert inspect.getdoc(value)
@@ -35,7 +35,7 @@ def test_an_unknown_name_is_an_attribute_error():
         mjtactile.nonsense  # noqa: B018
 
 
-def test_dir_shows_what_there_is():
+def test_dir_lists_the_public_names():
     assert set(mjtactile.__all__) <= set(dir(mjtactile))
 
 

@@ -29,7 +29,7 @@ UNKNOWN = Touch(0.0, 0.01, math.nan, math.nan, False, status=Status(StatusCode.O
 
 @pytest.mark.parametrize("mass", [0.005, 0.06, 0.3])
 @pytest.mark.parametrize("acceleration", [0.0, 2.0])
-def test_what_hangs_on_the_fingers_is_weighed_whatever_their_axes(mass, acceleration):
+def test_a_hanging_object_is_weighed_for_any_finger_axes(mass, acceleration):
     """A hanging object has the right weight for any finger axes.
 
     The fingers have shears in frames rotated by any angle, in addition to the drag from closing.
@@ -96,7 +96,7 @@ def test_the_table_is_distinguished_from_a_load_that_it_took_over():
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, 2.5])
-def test_what_fingers_do_to_each_other_is_no_load(turned):
+def test_forces_between_the_fingers_are_no_load(turned):
     """Internal forces between the fingers are not a load.
 
     Two fingers face each other along x, and the gripper is rotated about x by any angle. A world
@@ -132,7 +132,7 @@ def test_what_fingers_do_to_each_other_is_no_load(turned):
 
 
 @pytest.mark.parametrize("slips", [0.0, 0.3, 1.0])
-def test_what_slips_follows_the_grip(slips):
+def test_the_shear_of_a_slipping_contact_follows_the_grip(slips):
     """The fraction of the shear that follows the grip is right within its sd, which is small enough
     to decide.
 
@@ -197,7 +197,7 @@ def test_a_grip_s_stiffness_is_found_as_it_closes(hardness):
     )
 
 
-def test_what_the_table_pushes_up_is_no_load():
+def test_the_support_of_the_table_is_no_load():
     hangs = [touch(0, -0.3, 1.0)] * 2
     load = grasp_estimation.LoadEstimator().after(hangs, 1 / 30).hanging(hangs).after(hangs, 1 / 30)
     assert load.mass == pytest.approx(0.6 / 9.81) and load.worst == pytest.approx(0.32)
@@ -205,7 +205,7 @@ def test_what_the_table_pushes_up_is_no_load():
     assert load.after(pressed, 1 / 30).worst < load.worst
 
 
-def test_a_load_grows_with_what_two_images_show():
+def test_a_load_grows_with_the_increase_of_two_images():
     """A load grows with the increase that two images show.
 
     One image may be wrong. With the second, for a hanging object, the expected further increase
@@ -254,7 +254,7 @@ def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
     assert load.worst == pytest.approx(0.6 * math.exp(-1 / 1.5) + 0.02)
 
 
-def test_what_slides_is_as_heavy_as_before():
+def test_a_sliding_object_keeps_its_weight():
     """A sliding contact carries less than the load."""
     load = grasp_estimation.LoadEstimator()
     for shear in (0.3, 0.3, *[0.1] * 90):
@@ -271,7 +271,7 @@ def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
     assert mass == pytest.approx((0.6 + 0.6 * change) / 9.81)
 
 
-def test_what_is_pushed_sideways_loads_the_fingers_as_statics_state():
+def test_a_lateral_push_loads_the_fingers_by_statics():
     """A lateral push of 0.4 N and 0.3 N downward on each finger load it by 0.5 N.
 
     Fingers that face each other measure the push on the same side in the world.
@@ -284,7 +284,7 @@ def test_what_is_pushed_sideways_loads_the_fingers_as_statics_state():
     assert load.worst == pytest.approx(0.52, abs=1e-3)  # the increase has ended
 
 
-def test_what_the_fingers_drag_each_other_by_is_no_load():
+def test_opposite_shears_of_the_fingers_are_no_load():
     """Opposite shears of two fingers are not load, before and after lifting, however large.
 
     A box stands askew. Closing drags one finger to one side and the other to the other, by 0.6 N

@@ -54,7 +54,7 @@ def test_chi_square_is_that_of_errors_sampled_from_the_error_bars():
     assert found["images"] == 400 and result["status"] == {"ok": 400}
 
 
-def test_what_is_far_is_counted_and_what_is_no_touch_is_not():
+def test_far_estimates_are_counted_and_images_without_touch_are_not():
     far = np.array([0, 0, -6.0, 0, 0, 0])
     lost = image(far, status="fit failed", wrench=None, sd=None)
     rows = [
@@ -96,7 +96,7 @@ def test_areas_are_compared_where_both_are_known():
     assert "from 0.5 N on" in table(summary([scene(*rows)]))
 
 
-def test_scenes_take_turns_and_are_what_they_state():
+def test_scenes_alternate_and_match_their_description():
     sampled = [sample_scene(seed) for seed in range(40)]
     assert {scene.kind for scene in sampled} == set(KINDS) and {
         scene.sensor for scene in sampled

@@ -59,7 +59,7 @@ def test_a_failed_run_is_a_row_and_never_a_result(tmp_path, monkeypatch, capsys)
     assert "step 7" in capsys.readouterr().err and (tmp_path / "grasp.png").exists()
 
 
-def test_a_table_replaces_what_stood_between_its_markers(tmp_path):
+def test_a_table_replaces_the_text_between_its_markers(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(
         "a\n<!-- bench:grasp -->\nold\n<!-- /bench -->\nb\n<!-- bench:x -->\nkeep\n<!-- /bench "
@@ -90,7 +90,7 @@ def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
     assert again.result["bus"] == {"ms": None}  # unknown values are null in JSON
 
 
-def test_the_rigs_table_counts_what_was_late_and_what_was_not_safe():
+def test_the_rigs_table_counts_late_and_unsafe_runs():
     from benchmarks.rig import run
 
     row = {"state": "latched", "outcome": "leak"}

@@ -19,7 +19,7 @@ class Keeper:
 Keeper.__module__ = "mjtactile.keeper"
 
 
-def test_what_counts():
+def test_counted_operations():
     tiny = (
         np.array([1e-310, -1e-310, 0.0, 1e-300, np.nan]),
         np.array([1e-40, 1e-30], np.float32),

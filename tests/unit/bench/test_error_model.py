@@ -6,7 +6,7 @@ import pytest
 from benchmarks.learning import fit_error_model
 
 
-def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_sampled_with():
+def test_one_grasp_with_ten_times_the_error_does_not_set_the_error_model():
     """One finger with ten times the error does not determine the fitted standard deviation of all.
 
     Twenty fingers of sd 5 mN have 400 images each at 0.5 N. The logarithm of their factors has sd
@@ -33,7 +33,7 @@ def test_one_grasp_that_errs_by_ten_times_is_not_what_all_are_sampled_with():
     assert np.corrcoef(factor, np.repeat(factors, images))[0, 1] > 0.99
 
 
-def test_what_is_new_what_lasts_and_what_a_grasp_errs_by_are_distinguished():
+def test_white_noise_lasting_errors_and_errors_of_a_grasp_are_distinguished():
     """The fit separates white noise, lasting errors and the gain error of a grasp.
 
     Sixty fingers have 300 images each with shears between 0.1 and 0.3 N. Their white noise is 2 mN

@@ -47,11 +47,11 @@ def test_slips(speed, detected_at, name):
     assert found.speed == pytest.approx(speed, rel=0.2)  # an image after 0.5 mm
 
 
-def test_what_is_detected_near_the_limit_is_not_early():
+def test_a_detection_near_the_limit_is_not_early():
     assert outcome(frames(2e-3, 0.5, used=0.9)).name == "in time"
 
 
-def test_holds_and_what_lies_between():
+def test_holds_and_undecided_cases():
     assert outcome(frames(0.0, 9.0, slides=False)).name == "quiet"
     assert outcome(frames(0.0, 0.5, slides=False)).name == "false"
     assert outcome(frames(0.0, 0.5, used=0.9, slides=False)).name == "between"

@@ -47,7 +47,7 @@ def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
     ) == len(sampled)
 
 
-def test_the_table_states_what_went_wrong():
+def test_the_table_lists_the_failures():
     late = LEG | {"reaction_s": 0.3, "missed": 171, "memory_MB": 101.5}
     early = LEG | {
         "injected": False,

@@ -31,7 +31,7 @@ def test_an_image_is_as_old_as_when_the_page_first_had_it():
         run.ages(taken, [(0, 190.0)])
 
 
-def test_the_table_has_medians_and_what_was_asked():
+def test_the_table_has_medians_and_requirements():
     text = run.table(
         {"rounds": [ROUND, {**ROUND, "ratio": 0.5}, {**ROUND, "ratio": 0.95}], "processors": 2}
     )

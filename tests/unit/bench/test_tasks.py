@@ -34,7 +34,7 @@ def lines(controller, outcomes, **more):
     ]
 
 
-def test_the_table_states_what_the_lines_state(tmp_path):
+def test_the_table_agrees_with_the_lines(tmp_path):
     own = lines("adaptive", ["held"] * 8) + lines("touchless", ["held"] * 4 + ["crushed"] * 4)
     result = {
         "level": "synthetic",
@@ -71,7 +71,7 @@ def test_levels_are_compared_over_the_episodes_that_ended_at_both():
     assert agreement("gentle", full, cheap)["episodes"] == 0
 
 
-def test_a_level_states_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
+def test_a_level_lists_its_omissions_and_is_a_separate_suite(tmp_path):
     known = {level: suite_of(level) for level in ("mesh", "quasistatic", "synthetic")}
     assert {one.effects for one in known.values()} == {
         "-images",
@@ -85,7 +85,7 @@ def test_a_level_states_what_it_leaves_out_and_is_a_suite_of_its_own(tmp_path):
         run(tmp_path, parts=("nobody",))
 
 
-def test_weights_are_compared_with_what_was_asked():
+def test_weights_are_compared_with_the_requirement():
     known = [
         line | {"weighed_g": reported, "mass_g_true": true}
         for line, (reported, true) in zip(

@@ -80,7 +80,7 @@ def test_friction_is_found_before_it_lifts_on(friction, weight):
     assert 1.0 < margin < 1.7 * (1 + 0.02 / weight)
 
 
-def test_it_weighs_what_it_lifts():
+def test_it_estimates_the_weight_of_the_lifted_object():
     command, _ = holding(0.2)
     mass = command.memory["mass"]
     assert mass == pytest.approx(0.4 / 9.81, rel=1e-6)
@@ -213,7 +213,7 @@ def test_a_heavy_object_that_stands_off_center_is_lifted():
     assert run(lagging, alone, 15).phase == "regulate"
 
 
-def test_what_is_not_known_stops_it():
+def test_an_unknown_estimate_stops_it():
     command, goal = holding(0.2)
     blind = replace(finger(0.2), force_normal=math.nan, traction=None, status="too dark")
     assert run(command, lambda k, c: (blind, finger(0.2)), 6, goal).phase == "hold"
@@ -235,7 +235,7 @@ def test_a_slip_that_does_not_end_delays_the_lift_only():
     assert run(start, stressed, 450, TaskGoal(hold_time=60.0)).phase == "hold"
 
 
-def test_it_lifts_only_what_all_fingers_touch():
+def test_it_lifts_only_after_contact_of_all_fingers():
     """An egg in its cup resists one finger."""
     start = Command(0.04, 5.0, 0.0, "regulate")
     one_sided = lambda k, c: (finger(0.0, normal=0.36), finger(0.0, normal=0.0))  # noqa: E731

@@ -54,7 +54,7 @@ def run(command, estimated, count):
     [(touch(0.0), touch(0.02)), (touch(0.6, 0.008), touch(0.6, 0.009))],
     ids=["nothing is felt", "it slid"],
 )
-def test_what_stays_behind_is_released_where_the_gripper_is(phase, estimated):
+def test_an_object_left_behind_is_released_at_the_grippers_position(phase, estimated):
     start = Command(0.04, 4.0, 0.02, phase)
     command = run(start, estimated, 12)  # 0.4 s
     assert command.phase == "release" and abs(command.lift_height - start.lift_height) < 0.02
@@ -63,14 +63,14 @@ def test_what_stays_behind_is_released_where_the_gripper_is(phase, estimated):
     assert command.opening == pytest.approx(0.04 + 0.012, abs=0.005)
 
 
-def test_what_is_held_goes_on():
+def test_a_held_object_is_kept():
     for phase, force in (("lift", 0.6), ("hold", 0.3)):
         assert run(
             Command(0.04, 4.0, 0.02, phase), (touch(force, 4e-4), touch(force, 0.02)), 12
         ).phase in ("lift", "hold")
 
 
-def test_jaws_that_are_blocked_by_what_no_finger_estimates_do_not_push_for_ever():
+def test_jaws_blocked_by_an_unsensed_object_stop():
     """A fallen strawberry between the frames: until now the approach went on until the time was
     over."""
     command = Command(0.08, 4.0, 0.0, "approach")
@@ -108,7 +108,7 @@ def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, minimum):
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware"])
 @pytest.mark.parametrize(("up", "stops"), [(-0.3, False), (0.0, False), (0.3, True)])
-def test_what_pushes_back_on_the_way_down_is_the_table(controller, up, stops):
+def test_an_upward_force_while_lowering_is_the_table(controller, up, stops):
     """An upward push on the way down is taken as the table, and the gripper opens there.
 
     An object that slid 20 mm down stands on the table while the gripper is still up. Earlier
@@ -137,7 +137,7 @@ def test_a_moment_without_touch_or_sight_is_no_loss():
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
-def test_what_stands_before_the_gripper_is_down_is_released(controller):
+def test_an_object_that_stands_early_is_released(controller):
     """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down
     until the time was over."""
     its_step = load_controller(controller).step

@@ -33,6 +33,6 @@ def test_a_finger_that_never_releases_ends_it_with_the_reason():
     assert opening < after == pytest.approx(4.0, abs=2 * PERIOD)
 
 
-def test_what_releases_is_checked_once_more():
+def test_a_release_is_checked_again():
     command, _ = opened(0.0)
     assert command.phase == "approach" and command.reason == ""

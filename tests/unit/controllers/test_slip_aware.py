@@ -65,12 +65,12 @@ def test_before_a_slip_it_grips_harder_little_by_little_as_far_as_it_is_followed
     assert run(HELD, (touch(0.1, "incipient"),) * 2).memory["target"] == FIRST
 
 
-def test_what_it_does_not_know_it_does_not_act_on():
+def test_unknown_estimates_are_not_used():
     unknown = replace(touch(FIRST), slip=None)
     assert run(HELD, (unknown, unknown)).memory["target"] == FIRST
     blind = (touch(math.nan), touch(FIRST))
     assert run(HELD, blind).opening == HELD.opening and run(HELD, blind, 20).phase == "abort"
 
 
-def test_what_stays_behind_is_released():
+def test_an_object_left_behind_is_released():
     assert run(HELD, (touch(0.0), touch(0.01)), 12).phase == "release"

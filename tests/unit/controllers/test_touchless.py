@@ -38,7 +38,7 @@ def test_one_noisy_reading_does_not_stop_the_jaws():
     assert command.phase == "approach" and command.opening < 0.041
 
 
-def test_what_moving_takes_is_no_grip():
+def test_the_effort_of_motion_is_not_grip_force():
     """The effort of motion does not count as grip.
 
     Contact is at 40 mm with 300 N/m, and motion alone takes 0.5 N. The jaws stop at 0.6 N of grip,

@@ -63,7 +63,7 @@ def states(calibration, design=DESIGN):
     return {state.kind: state.state for state in calibration.states(design)}
 
 
-def test_what_is_saved_is_read_back(tmp_path):
+def test_a_saved_calibration_is_read_back(tmp_path):
     path = tmp_path / "left.json"
     first = complete().with_refusal("force", ["loads slid"])
     first.save(path)
@@ -115,7 +115,7 @@ def test_a_refused_part_replaces_nothing_and_is_remembered_until_it_succeeds():
     assert states(never)["lens"] == "refused" and states(never)["force"] == "missing"
 
 
-def test_parts_older_than_the_sensor_file_or_than_what_they_rest_on_are_not_used():
+def test_parts_older_than_the_sensor_file_or_their_inputs_are_not_used():
     calibration = complete()
     assert set(states(calibration).values()) == {"good"}
     stiffer = replace(DESIGN, membrane=replace(DESIGN.membrane, young=1.2e6))

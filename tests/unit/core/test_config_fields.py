@@ -92,10 +92,10 @@ def test_a_file_is_beside_the_one_that_names_it():
         ({"is_on": 1}, "is_on: 1 is not true or false"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_file(change, message):
+def test_an_error_is_named_with_its_file(change, message):
     with pytest.raises(InputError, match=f"^b.toml: {message}"):
         from_table(Machine, {**TABLE, **change}, "b.toml")
 
 
-def test_what_is_given_is_not_read():
+def test_a_given_field_is_not_read():
     assert read(Wheel, Section({"radius_mm": 1}, "", "f"), teeth=1) == Wheel(1, 0.001)

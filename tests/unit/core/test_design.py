@@ -119,7 +119,7 @@ def test_every_field_is_checked():
 
 
 @pytest.mark.parametrize("name", resources.names("models/sensors", ".toml"))
-def test_what_is_written_is_read_again(name):
+def test_written_values_are_read_again(name):
     design = load_sensor(name)
     table = config_fields.write(design)
     assert sensor_from_table(table, name="other", source="other.toml") == design

@@ -16,6 +16,6 @@ from mjtactile.core.fidelity_levels import LEFT_OUT, disabled_effects, fidelity_
         (set(), ["mesh", "pipeline"]),
     ],
 )
-def test_a_result_states_what_was_left_out(effects, reported):
+def test_a_result_lists_its_omissions(effects, reported):
     result = dict.fromkeys(disabled_effects(effects), False)
     assert fidelity_notes(result) == {name: LEFT_OUT[name] for name in reported}

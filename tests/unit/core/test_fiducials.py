@@ -69,7 +69,7 @@ def test_on_the_glass_there_is_no_groove():
     assert design.fiducials.p_SF(design)[:, 2] == pytest.approx(-20e-3, abs=1e-5)
 
 
-def test_what_is_written_is_read_again():
+def test_written_values_are_read_again():
     fiducials = load_sensor("dense_fiducials").fiducials
     assert from_table(Fiducials, write(fiducials), "x.toml") == fiducials
 
@@ -118,7 +118,7 @@ def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
         ({"blur_px": 2.0}, "fiducials.blur_px", "blur_px"),
     ],
 )
-def test_what_cannot_be_seen_is_refused_in_a_line(changes, field, words):
+def test_invisible_fiducials_are_refused_in_one_line(changes, field, words):
     with pytest.raises(InputError) as error:
         sensor_from_table(table(**changes), name="x", source="x.toml")
     text = str(error.value)

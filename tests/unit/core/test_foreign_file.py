@@ -37,7 +37,7 @@ def test_a_pipe_never_blocks(tmp_path, monkeypatch, kind):
 
 @pytest.mark.parametrize("kind", READERS)
 @pytest.mark.parametrize("how", ["missing", "folder", "long", "deep"])
-def test_what_is_no_file_is_one_line(tmp_path, monkeypatch, kind, how):
+def test_a_path_that_is_not_a_file_is_one_line(tmp_path, monkeypatch, kind, how):
     read, name = READERS[kind]
     monkeypatch.chdir(tmp_path)
     path = tmp_path / name

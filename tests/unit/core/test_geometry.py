@@ -17,7 +17,7 @@ def test_cross_is_numpys_bit_for_bit(a, b):
     np.testing.assert_array_equal(geometry.cross(a, b), np.cross(a, b))
 
 
-def test_cross_takes_what_is_not_contiguous():
+def test_cross_accepts_non_contiguous_arrays():
     a = RNG.normal(size=(4, 3, 2))
     np.testing.assert_array_equal(
         geometry.cross(a[:, :, 0], a[:, :, 1]), np.cross(a[:, :, 0], a[:, :, 1])

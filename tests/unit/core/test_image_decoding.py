@@ -16,7 +16,7 @@ def png(pixels):
     return bytes(cv2.imencode(".png", pixels)[1])
 
 
-def test_complete_files_are_what_was_written():
+def test_complete_files_are_decoded_exactly():
     pixels = np.random.default_rng(0).integers(0, 65536, (7, 9), np.uint16)
     np.testing.assert_array_equal(decode(png(pixels), cv2.IMREAD_UNCHANGED), pixels)
     grey = (pixels >> 8).astype(np.uint8)

@@ -76,7 +76,7 @@ def test_the_limits_of_the_models_agree():
     np.testing.assert_allclose(fisheye.distort([1.0, 0.0]), [np.pi / 4, 0.0], atol=1e-15)
 
 
-def test_undistort_refuses_what_the_lens_cannot_produce():
+def test_undistort_refuses_points_outside_the_range_of_the_lens():
     folded = Lens("plumb_bob", (-0.3, 0.0, 0.0, 0.0, 0.0))
     # r (1 - 0.3 r^2) is at most 0.7027 (at r = 1.054): no ideal point gives 0.71
     assert np.isnan(folded.undistort([[0.71, 0.0]])).all()

@@ -76,7 +76,7 @@ def test_an_action_is_speeds_and_a_limit():
     assert command_from_action(seen(), [np.nan] * 3).opening == 0.05
 
 
-def test_what_a_teacher_did_is_the_action_that_does_it():
+def test_a_teachers_command_equals_its_action():
     before = Command(0.05, 4.0, 0.01)
     after = command_from_action(replace(seen(), command=before), [-0.3, 0.25, 0.7])
     np.testing.assert_allclose(
@@ -112,7 +112,7 @@ def test_a_grasp_from_approach_to_done():
     assert phases == ["approach", "close", "regulate", "lift", "hold", "lower", "release", "done"]
 
 
-def test_what_was_lost_is_not_held_on():
+def test_a_lost_object_is_not_held():
     command = Command(0.05, 4.0, 0.03, "hold", {"phase_time": 0.2, "grip_opening": 0.05})
     for _ in range(17):
         command = command_from_action(seen((0, 0), 0.05, 0.04, command), [0, 0, 0])

@@ -38,7 +38,7 @@ def test_a_file_states_fractions_and_times():
         ({"term_s": [[0.1, 1.0]]}, "term"),
     ],
 )
-def test_what_is_wrong_is_reported_in_a_line(section, words):
+def test_an_invalid_value_is_reported_in_one_line(section, words):
     with pytest.raises(InputError, match=words) as caught:
         with_section(**section)
     assert "dense.toml" in str(caught.value)

@@ -71,6 +71,6 @@ def test_frames_with_corners(frame, tolerance):
     assert inflated_height(design, 1000.0) == pytest.approx(expected, rel=tolerance)
 
 
-def test_what_the_rubber_cannot_hold_has_no_height():
+def test_a_pressure_beyond_the_rubbers_limit_has_no_height():
     assert np.isnan(inflated_height(ROUND, 2e4, degree=2))
     assert inflated_height(ROUND, -300.0) == pytest.approx(-inflated_height(ROUND, 300.0), rel=1e-9)

@@ -51,13 +51,13 @@ def test_processes_that_are_started_inherit_it(five):
 
 
 @pytest.mark.parametrize("text", ["fast", "0.5", "nan", "inf", ""])
-def test_what_is_no_pace(monkeypatch, text):
+def test_invalid_time_scales_are_refused(monkeypatch, text):
     monkeypatch.setenv("MJTACTILE_TIME_SCALE", text)
     with pytest.raises(InputError, match="MJTACTILE_TIME_SCALE"):
         scaled_clock._from_environment()
 
 
-def test_what_is_no_pace_is_one_line():
+def test_an_invalid_time_scale_is_one_line():
     done = subprocess.run(
         [sys.executable, "-m", "mjtactile", "emulate", "--faults", "meteorite"],
         check=False,

@@ -82,7 +82,7 @@ def test_a_signal_that_the_process_handles_itself_stays_its_own():
         signal.signal(signal.SIGUSR1, before)
 
 
-def test_what_went_wrong_meanwhile_is_not_hidden():
+def test_an_error_during_the_stop_is_raised():
     with pytest.raises(ZeroDivisionError), deferred():
         signal.raise_signal(signal.SIGINT)
         _ = 1 / 0
@@ -107,7 +107,7 @@ def test_a_process_that_was_set_to_ignore_hang_ups_does():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_another_thread_sees_what_the_main_one_receives():
+def test_another_thread_sees_the_signals_of_the_main_thread():
     seen = []
 
     def work():

@@ -22,7 +22,7 @@ NAMES = resources.names("models/tasks", ".toml")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_ones_are_read_and_state_what_they_are(name):
+def test_shipped_tasks_are_read_and_have_a_description(name):
     task = load_task(name)
     assert task.name == name and task.about and task.version
     sampled = task.sample(3, 2)
@@ -30,7 +30,7 @@ def test_the_shipped_ones_are_read_and_state_what_they_are(name):
     assert task.is_plain or sampled.values != task.sample(4, 2).values
 
 
-def test_lift_is_what_it_was_and_shows_every_field():
+def test_lift_is_unchanged_and_its_file_has_every_field():
     """The task lift is unchanged and its file shows every field.
 
     Every earlier result was of this task: nothing is sampled, and no disturbance occurs.
@@ -50,7 +50,7 @@ def test_lift_is_what_it_was_and_shows_every_field():
     assert all(f"{key} = " in complete for key in keys)
 
 
-def test_what_is_sampled_is_within_its_range_and_the_file_s_own_units():
+def test_samples_are_within_their_range_in_the_units_of_the_file():
     table = tomllib.loads(resources.find("pour", "models/tasks", ".toml").read_text())
     task = load_task("pour")
     for seed in range(50):
@@ -179,7 +179,7 @@ def test_when_a_person_pulls_with_three_tenths_of_a_newton():
         ("[object]\nmass_g = [50, 20]", ["object.mass_g", "lower limit above its upper limit"]),
     ],
 )
-def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):
+def test_an_error_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):
     path = tmp_path / "mine.toml"
     path.write_text(text + "\n")
     with pytest.raises(InputError) as caught:
@@ -190,7 +190,7 @@ def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, t
     )
 
 
-def test_the_robot_is_given_what_the_file_states_and_no_more():
+def test_the_robot_receives_only_the_contents_of_the_file():
     goal = load_task("place").goal.task_goal()
     assert (goal.lift_height, goal.place_height) == (0.06, 0.02)
     assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}

@@ -23,7 +23,7 @@ def test_a_byte_order_mark_is_not_part_of_the_file(tmp_path):
     ids=["bytes", "half", "deep", "digits", "zero"],
 )
 @pytest.mark.parametrize(("read", "kind"), [(read_toml, "TOML"), (read_json, "JSON")])
-def test_what_is_no_such_file_is_refused_in_one_line(tmp_path, content, read, kind):
+def test_another_kind_of_file_is_refused_in_one_line(tmp_path, content, read, kind):
     path = tmp_path / "x"
     path.write_bytes(content)
     with pytest.raises(InputError, match=f"^{re.escape(str(path))}: not valid {kind}") as caught:
@@ -48,7 +48,7 @@ def test_a_number_is_within_its_range_or_named(value):
         Section({"rate_Hz": value}, "bus", "f").number("rate_Hz", 0, 100)
 
 
-def test_a_missing_field_states_what_stands_there_instead():
+def test_a_missing_field_lists_the_present_ones():
     section = Section({"rate_kHz": 1, "portt": "a"}, "bus", "f")
     with pytest.raises(InputError, match="rate_Hz: missing field; there is 'rate_kHz': wrong unit"):
         section.number("rate_Hz", 0, 1)

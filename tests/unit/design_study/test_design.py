@@ -149,7 +149,7 @@ def test_a_proposal_that_fabricate_refuses_is_replaced_by_the_next():
     assert design_sweep.best(tried[:1], 3, check) == ([], [])
 
 
-def test_what_is_missed():
+def test_unmet_requirements_are_listed():
     reached = Score(0.02, 0.01, 0.01, 0.003, 1e-4, 1e-4, math.nan, 3.0)
     assert design_sweep.Requirements(touch=0.02, maximum=3.0, edge=1e-4).missed(reached) == []
     # the pixel noise would allow 10 mN, the pipeline detects 20 mN

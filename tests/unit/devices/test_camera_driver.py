@@ -135,7 +135,7 @@ def test_stream_settings_come_first_and_controls_last(camera, device):
         (cv2.CAP_PROP_WB_TEMPERATURE, 4000, "white balance"),
     ],
 )
-def test_what_did_not_take_is_refused(prop, largest, name):
+def test_a_setting_that_the_camera_ignored_is_refused(prop, largest, name):
     device = V4l2(clamp={prop: largest})
     with pytest.raises(DeviceError, match=f"left camera /dev/video9: {name} was set to"):
         OpenCvCamera(CONFIG, capture=lambda: device)

@@ -50,7 +50,7 @@ def kernel(modes=MODES, stepwise=False):
     return ioctl
 
 
-def test_what_a_camera_can_send(tmp_path):
+def test_formats_of_a_camera(tmp_path):
     (tmp_path / "video0").touch()
     found = list(formats_of(tmp_path / "video0", kernel()))
     assert found == [("MJPG", 640, 480, 60.0), ("MJPG", 1280, 720, 30.0), ("YUYV", 640, 480, 15.0)]

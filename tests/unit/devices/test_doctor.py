@@ -46,7 +46,7 @@ def test_settings_and_firmware_that_make_a_dead_host_dangerous():
     assert "without a host it goes on to its last goal" in old[0].text
 
 
-def test_what_a_lost_host_leaves_is_reported_with_the_servos_that_hold_nothing():
+def test_the_state_after_a_lost_host_is_reported_with_the_idle_servos():
     rig = load_rig_file("emulated")
     [opens] = _check_host_loss(rig)
     assert opens.level == "ok" and "vent 250 ms after" in opens.text

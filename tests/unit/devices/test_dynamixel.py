@@ -48,7 +48,7 @@ def test_the_sdks_tables_are_read():
     ) == (98, 126, 4)
 
 
-def test_every_model_has_a_table_with_what_is_needed():
+def test_every_model_has_a_complete_control_table():
     for model in MODELS.values():
         assert {"Goal Current", "Bus Watchdog", "Hardware Error Status", "Current Limit"} <= set(
             model.table
@@ -222,7 +222,7 @@ def test_state_is_in_si(bench):
 
 
 @pytest.mark.clock
-def test_command_returns_what_was_sent_and_the_servos_have_it(bench):
+def test_command_returns_the_sent_values_and_the_servos_have_them(bench):
     def act(gripper):
         sent = gripper.command(Command(0.066234, 4.0, 0.0, "close", {"a": 1.0}))
         assert wait_for(

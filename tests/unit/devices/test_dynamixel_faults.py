@@ -49,7 +49,7 @@ def test_a_state_is_of_the_time_it_was_asked_for(bench):
         gripper.close()
 
 
-def test_what_comes_between_question_and_state_spoils_neither(bench):
+def test_a_reply_between_request_and_state_corrupts_neither(bench):
     gripper = bench.gripper(reply_timeout=0.05)
     try:
         before = gripper.state()

@@ -167,7 +167,7 @@ def test_a_stuck_valve_is_an_error_where_a_sensor_can_detect_and_is_not_sealed(r
 
 
 @pytest.mark.clock
-def test_a_chamber_follows_what_is_commanded_and_is_sealed_as_it_is_when_nothing_is(rig):
+def test_a_chamber_follows_its_command_and_is_sealed_without_one(rig):
     """A chamber follows the commanded pressure, and without a command it is sealed at its pressure.
 
     The heartbeat's thread sends the commands: the loop does not wait for a board.
@@ -196,7 +196,7 @@ def test_a_chamber_follows_what_is_commanded_and_is_sealed_as_it_is_when_nothing
 
 
 @pytest.mark.clock
-def test_without_a_sensor_the_supply_is_what_the_file_states():
+def test_without_a_sensor_the_supply_pressure_is_that_of_the_file():
     with valve_bench(sensors=False) as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))
         try:
@@ -278,7 +278,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
         "close 1",
     ],
 )
-def test_what_the_board_does_not_understand_is_an_error_and_stops_nothing(line):
+def test_an_unknown_request_is_an_error_and_stops_nothing(line):
     firmware = emulated.ValveFirmware({}, emulated.Faults())
     for text in ("vent 1", "beat 1000"):
         firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)
@@ -303,7 +303,7 @@ class Still:
 
 
 @pytest.mark.parametrize("hold", [0, 2000])
-def test_what_a_late_host_finds_goes_by_its_hold(hold):
+def test_the_state_for_a_late_host_depends_on_its_hold_time(hold):
     """The state for a late host depends on its hold time, for a sealed and a regulated chamber.
 
     The test supplies the clock; the heartbeat is 0.5 s.

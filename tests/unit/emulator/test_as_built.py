@@ -83,7 +83,7 @@ def test_a_finger_that_does_not_exist_is_named(table):
         rig_from_table(table, Path("test.toml"))
 
 
-def test_a_camera_that_sits_elsewhere_sees_what_projection_states():
+def test_a_displaced_camera_agrees_with_the_projection():
     """Drawn and found again: centres of the circles' images are where OpenCV-like projection puts
     them."""
     own = AsBuiltSensor("left", shift=(4e-4, -2e-4, 3e-4), tilt=(0.0, 0.017, 0.01))

@@ -143,7 +143,7 @@ def test_limits_bound_the_goals(xl):
 
 
 @pytest.mark.clock
-def test_what_is_not_defined_can_be_neither_read_nor_written(xl):
+def test_undefined_registers_can_be_neither_read_nor_written(xl):
     assert xl.packets.readTxRx(xl.port, 1, 66, 2)[2] == 7
     assert xl.packets.readTxRx(xl.port, 1, 64, 4)[2] == 7  # 66 and 67 are within
     assert xl.packets.write1ByteTxRx(xl.port, 1, 66, 0) == (OK, 7)
@@ -225,7 +225,7 @@ def test_a_new_baud_rate_counts_at_once(xl):
 @pytest.mark.parametrize(
     ("option", "servo_id", "baud"), [(0xFF, 1, 57600), (0x01, 2, 57600), (0x02, 2, 1_000_000)]
 )
-def test_factory_reset_keeps_what_its_option_states(xl, option, servo_id, baud):
+def test_factory_reset_keeps_the_values_of_its_option(xl, option, servo_id, baud):
     assert xl.write("Moving Threshold", 99, 2) == 0
     assert xl.write("ID", 3, 1) == 0  # out of the way
     assert xl.packets.factoryReset(xl.port, 2, option) == (OK, 0)

@@ -60,7 +60,7 @@ def ran(kind, folder, task, outcomes, **changes):
     store.write_lines(folder / task, lines)
 
 
-def test_what_is_compared_met_the_same_episodes(new, tmp_path):
+def test_compared_controllers_have_the_same_episodes(new, tmp_path):
     words = ["held", "crushed", "held", "unsafe", "held"]
     ran(new, tmp_path / "theirs", "pour", {OTHER: words})
     ran(new, tmp_path / "theirs", "shake", {OTHER: ["dropped"]})

@@ -25,7 +25,7 @@ def outcome_of(heights, *, press=0.2, last="done", believed="not set down"):
     return true.score({"outcome": believed, "reason": "reported"})
 
 
-def test_what_came_along_and_stands_again_was_held_whatever_is_estimated():
+def test_a_lifted_object_that_stands_again_was_held_for_any_estimate():
     found = outcome_of((0.02, 0.06, 0.021))
     assert found["outcome"] == "held" and found["reason"] == ""
     assert found["hold_force_true_N"] == pytest.approx(0.2)
@@ -39,7 +39,7 @@ def test_what_came_along_and_stands_again_was_held_whatever_is_estimated():
     assert outcome_of((0.02, 0.06, 0.02), press=1.1)["outcome"] == "crushed"
 
 
-def test_what_no_emulated_world_does_is_refused():
+def test_features_without_emulation_are_refused():
     assert emulated.check(Scenario(rig="emulated"))
     assert emulated.check(Scenario(rig="emulated", task="place"))
     assert not emulated.check(Scenario(rig="sim", task="pour", randomization="default"))

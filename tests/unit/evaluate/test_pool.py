@@ -117,7 +117,7 @@ def test_a_controller_that_does_not_end_well_has_failed(tmp_path, monkeypatch, t
     )
 
 
-def test_what_cannot_be_built_or_breaks_inside_is_an_error_too(tmp_path, monkeypatch, quick):
+def test_failures_to_build_or_run_are_errors(tmp_path, monkeypatch, quick):
     (tmp_path / "huge.toml").write_text("[object]\nsize_percent = 100\nplace_mm = 30\n")
     wide = run_episode(
         replace(
@@ -217,7 +217,7 @@ def test_the_manifest_reports_how_to_run_it_again(tmp_path):
     assert scenario_of(parsed, Scenario(randomization="default")).to_dict() == options["scenario"]
 
 
-def test_what_was_crushed_before_the_simulation_failed_is_crushed(tmp_path, monkeypatch, quick):
+def test_an_object_crushed_before_a_simulation_failure_is_crushed(tmp_path, monkeypatch, quick):
     """Else who presses hardest would have no failures, but errors, which do not count."""
 
     def presses(scenario, observers, **_):

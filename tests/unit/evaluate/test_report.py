@@ -51,7 +51,7 @@ def lines(count=300, controller="gentle", seed=0):
     ]
 
 
-def test_what_makes_grasps_fail_stands_out_alone():
+def test_only_the_cause_of_failures_is_significant():
     found = against(lines())
     by_name = {one["name"]: one for one in found}
     assert found[0]["name"] == "object.mass_percent" and [
@@ -81,7 +81,7 @@ def test_what_makes_grasps_fail_stands_out_alone():
     )
 
 
-def test_what_is_bad_on_both_sides_is_found():
+def test_a_parameter_bad_on_both_sides_is_found():
     table = lines(100)
     for line in table:
         line["outcome"] = (
@@ -145,7 +145,7 @@ def test_the_worst_are_of_every_kind():
     assert worst(table, 15)[13]["episode"] == 21 and worst(table, 15)[14]["episode"] == 30
 
 
-def test_the_page_is_complete_and_states_what_the_lines_state():
+def test_the_page_is_complete_and_agrees_with_the_lines():
     table = lines() + lines(controller="a<b")
     manifest = {
         "options": {"controllers": ["gentle", "a<b"], "count": 300, "scenario": {}},

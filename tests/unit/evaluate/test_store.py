@@ -57,7 +57,7 @@ def test_an_empty_folder_is_as_good_as_none(tmp_path):
     assert (tmp_path / "episodes.jsonl").read_text() == ""
 
 
-def test_what_is_gone_on_with_may_become_more_and_not_less(tmp_path):
+def test_a_resumed_evaluation_may_add_episodes_but_not_remove_them(tmp_path):
     write_part(tmp_path / "a", 1, 1)
     evaluation = store.read_manifest(tmp_path / "a")
     more = evaluation | {"options": evaluation["options"] | {"count": 9}}

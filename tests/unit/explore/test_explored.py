@@ -35,7 +35,7 @@ def ball():
     return explored([*soft, *rest], "touches", 5, {})
 
 
-def test_what_is_reported_of_a_ball(ball):
+def test_report_of_a_ball(ball):
     reported = ball.summary()
     assert reported["size_mm"] == pytest.approx([24, 24, 24], rel=0.02)  # triangles of 0.8 mm
     assert reported["volume_mL"] == pytest.approx(4 / 3 * math.pi * 1.2**3, rel=0.03)

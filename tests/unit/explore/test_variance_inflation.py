@@ -27,7 +27,7 @@ def model():
     return surface, noise
 
 
-def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
+def test_it_equals_the_leave_one_out_error_of_each_touch(model):
     """Leaves each touch out in turn, and conditions on the others: no inverse of all at once."""
     surface, noise = model
     found = 3 * np.random.default_rng(4).multivariate_normal(np.zeros(20), surface + noise)
@@ -51,7 +51,7 @@ def test_it_is_what_each_touch_is_off_from_a_surface_of_the_others(model):
     assert reported == pytest.approx(1 + 2 * (mean - 1), rel=1e-8)
 
 
-def test_what_was_predicted_widens_nothing(model):
+def test_predicted_touches_do_not_inflate_the_variance(model):
     surface, noise = model
     factor = cho_factor(surface + noise, lower=True)
     assert excess(factor, np.zeros(20), noise, noise, PARTS) == 1.0

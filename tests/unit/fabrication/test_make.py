@@ -298,7 +298,7 @@ def test_the_longest_focal_length_that_is_named_still_shows_all_markers():
         ("chamber.supply_pressure_kPa", 900.0),
     ],
 )
-def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
+def test_an_infeasible_value_is_refused_with_a_feasible_limit(field, value):
     """In one line that names the field, its value and the limit; with the limit in its place, that
     field is good."""
     design = DENSE
@@ -320,7 +320,7 @@ def test_what_cannot_be_built_is_refused_with_a_limit_that_can(field, value):
             check.check("mine.toml")
 
 
-def test_at_the_limit_the_stencils_webs_are_what_a_foil_can_be_cut_to():
+def test_at_the_limit_the_stencils_webs_have_the_minimum_width():
     with pytest.raises(InputError) as error:
         Layout.of(with_field(DENSE, "markers.pitch_y_mm", 2.2), Hardware(), "mine.toml")
     pitch = float(str(error.value).split()[-1])
@@ -331,7 +331,7 @@ def test_at_the_limit_the_stencils_webs_are_what_a_foil_can_be_cut_to():
     assert discs[9].y - discs[0].y - 2 * discs[0].r == pytest.approx(0.3, abs=1e-3)
 
 
-def test_a_limit_is_rounded_to_what_is_allowed():
+def test_a_limit_is_rounded_to_an_allowed_value():
     for value, field in ((1.23456, "low"), (98.7654, "high"), (1.23441, "low"), (98.7651, "high")):
         limit = manufacturability.Limit(
             "f", {"low": 1.0, "high": 99.0}[field], "is bad", **{field: value}
@@ -352,7 +352,7 @@ def test_options_that_cannot_be_built_are_named(option, tools):
         Layout.of(DENSE, tools, "mine.toml")
 
 
-def test_what_the_optics_cannot_do_is_refused():
+def test_infeasible_optics_are_refused():
     sharp = replace(DENSE, camera=replace(DENSE.camera, blur_px=0.2))
     with pytest.raises(InputError, match=r"camera.blur_px: 0.2 is sharper .* at least 0.4"):
         camera_check.plan_camera(sharp, Hardware(), STATES, "mine.toml")
@@ -364,7 +364,7 @@ def test_what_the_optics_cannot_do_is_refused():
         camera_check.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
 
 
-def test_the_glass_holds_what_roark_states():
+def test_the_strength_of_the_glass_agrees_with_roark():
     """A square plate's coefficient is 0.2874 (Timoshenko's 0.0479 x 6), which the formula has
     within 0.1 %."""
     square = replace(DENSE, frame=replace(DENSE.frame, length=0.03, width=0.03))

@@ -51,7 +51,7 @@ def test_leak_by_its_exponential():
     assert found.values["leak_conductance"] == pytest.approx(leak, rel=0.02)
 
 
-def test_heat_by_what_a_fast_press_leaves():
+def test_heat_after_a_fast_press():
     """A sudden press of dV heats an ideal gas by (gamma - 1) T dV/V, which the walls take with
     their time constant."""
     gamma = 1.35

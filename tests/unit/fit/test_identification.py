@@ -27,7 +27,7 @@ def membrane_of(cov):
 @pytest.mark.parametrize(
     ("sd", "held"), [((1e4, 1e-3), None), ((1e5, 1e-2), "pre_stretch"), ((1e5, 1e-3), "young")]
 )
-def test_what_is_not_known_is_held_pre_stretch_first(sd, held):
+def test_undetermined_parameters_are_fixed_pre_stretch_first(sd, held):
     assert (
         _first_undetermined(NAMES, VALUES, np.diag(np.square(sd)), "membrane", _HELD_FIRST) == held
     )

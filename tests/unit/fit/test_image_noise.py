@@ -39,7 +39,7 @@ def found():
         ("leds.vignetting", 0.31, 0.02),
     ],
 )
-def test_what_was_rendered_is_found(found, field, true, fraction):
+def test_rendered_noise_is_identified(found, field, true, fraction):
     value, sd = found[field]
     assert value == pytest.approx(true, rel=fraction)
     assert abs(value - true) < 3 * sd

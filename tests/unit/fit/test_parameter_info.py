@@ -21,7 +21,7 @@ def test_a_number_with_a_small_sd_is_fitted_and_states_its_interval():
     assert number.comment == "fitted: 1.080 to 1.120 (95 %), runs/press"
 
 
-def test_a_number_that_is_not_known_keeps_the_file_s_value_and_states_what_to_record():
+def test_an_undetermined_parameter_keeps_its_value_and_names_the_needed_recording():
     number = classify("membrane.friction", 0.5, 0.4, 0.9, "runs/press")
     assert (number.state, number.value) == ("not in these recordings", 0.9)
     assert "drag a loaded indenter" in number.comment

@@ -37,7 +37,7 @@ def test_fractions_and_their_sd_of_a_gauge_with_noise():
     assert found[:, 2].mean() == pytest.approx(np.sqrt(2) * found[:, 1].std(), rel=0.2)
 
 
-def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
+def test_the_result_is_a_section_of_a_sensor_file(tmp_path):
     found = RelaxationFit(np.array([1.0, 10.0]), np.array([0.0, 0.05]), (1.0, 30.0), 0.04, 0.004)
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     (tmp_path / "mine.toml").write_text(f"{text}\n{found.section}")
@@ -47,7 +47,7 @@ def test_what_is_found_is_a_section_of_a_sensor_file(tmp_path):
 
 
 @pytest.mark.slow(10)
-def test_a_press_that_is_held_and_let_go_states_what_fades(tmp_path, capsys):
+def test_a_held_and_released_press_determines_the_relaxation(tmp_path, capsys):
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     assert "rate_Hz = 30.0" in text
     text = text.replace("rate_Hz = 30.0", "rate_Hz = 10.0")  # a third of the images suffice

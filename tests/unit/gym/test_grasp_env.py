@@ -243,7 +243,7 @@ def episodes(count, seed, steps, **how):
 
 
 @pytest.mark.parametrize("randomization", ["none", pytest.param("default", marks=pytest.mark.slow)])
-def test_what_an_environment_does_is_the_same_however_many_there_are(randomization):
+def test_an_environment_is_independent_of_their_number(randomization):
     """Bit for bit, in threads, over the end of an episode: the squeezed egg breaks."""
     alone = episodes(1, 5, 60, randomization=randomization, threads=1)
     np.testing.assert_array_equal(episodes(2, 5, 60, randomization=randomization, threads=2), alone)

@@ -19,7 +19,7 @@ def test_every_declared_kernel_exists_and_nothing_else_is_promised():
         kernel("no_such_kernel")
 
 
-def test_what_is_written_must_fit_and_what_is_read_is_converted():
+def test_outputs_must_match_and_inputs_are_converted():
     Q = np.diag([1.0, 1.0, -4.0])[None]
     poses = np.empty((4, 1, 3))
     # of radius 1 on x^2 + y^2 = 4 z^2: half a metre away

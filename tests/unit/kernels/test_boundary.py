@@ -51,7 +51,7 @@ def test_an_array_of_another_size_is_refused_by_name(name, array):
 
 
 @pytest.mark.parametrize(("name", "array"), ARRAYS)
-def test_only_what_may_be_left_out_is(name, array):
+def test_only_optional_arguments_can_be_omitted(name, array):
     declaration = declarations()[name]
     values = values_of(declaration)
     place = [one.name for one in declaration.arguments].index(array)
@@ -62,7 +62,7 @@ def test_only_what_may_be_left_out_is(name, array):
         kernel(name)(*values)
 
 
-def test_a_size_may_hang_on_what_is_given_at_the_call():
+def test_a_size_may_depend_on_arguments_of_the_call():
     moved = np.zeros((2, 3))
     args = (..., moved, 1.0, 1.0, 1.0, 1.0, np.empty(2), np.empty(1), np.empty(2), np.empty((2, 3)))
     push = bound("apply_gas_load", 2, *args)
@@ -84,7 +84,7 @@ def test_indices_of_items_that_are_not_there_are_refused():
             kernel("border_moments")(2, counts, 6, np.zeros((6, 2), np.int32), 9, 9, *out)
 
 
-def test_codes_raise_what_they_mean():
+def test_codes_raise_their_exceptions():
     band = np.full((1, 8), np.nan)
     with pytest.raises(np.linalg.LinAlgError, match="kernel factor_definite: a matrix is not fin"):
         kernel("factor_definite")(1, 0, band)

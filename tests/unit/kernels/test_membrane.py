@@ -34,7 +34,7 @@ def test_volume_and_gradient(rubber):
     np.testing.assert_allclose(gradient, slope, rtol=ROUNDING, atol=1e-15)
 
 
-def test_what_the_gas_pushes(rubber):
+def test_gas_load(rubber):
     """The kernel's gas load equals numpy's.
 
     The forces are p dV/dq. A spring acts along dV/dz, off its rest length by a fraction of the

@@ -124,7 +124,7 @@ def test_a_pipeline_with_sampled_settings_states_something(seed):
         assert "\n" not in str(error)
 
 
-def test_the_images_are_estimated_as_what_they_are():
+def test_the_estimates_equal_the_loads_of_the_images():
     """The estimated forces equal the loads of the images, so that the random tests above cover real
     input.
 

@@ -10,7 +10,7 @@ from mjtactile.quasistatic import QuasistaticMembrane
 from mjtactile.quasistatic.batch import run_in_threads
 
 
-def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
+def test_an_error_in_a_thread_is_raised_and_the_thread_continues():
     def work(number, seen):
         seen[number] = threading.current_thread()
         if number == 1:
@@ -28,7 +28,7 @@ def test_what_fails_in_a_thread_is_raised_and_the_thread_goes_on():
     assert set(second.values()) <= alive[1] | {second[0]}
 
 
-def test_what_is_no_batch_is_refused_in_one_line_that_names_it():
+def test_an_invalid_batch_is_refused_in_one_line_that_names_it():
     membrane = QuasistaticMembrane("dense", (9, 7))
     ball = membrane.obstacle("sphere", (8e-3,), (0.0, 0.0, 0.03))
     one = membrane.solve(ball)

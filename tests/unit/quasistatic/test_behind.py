@@ -63,7 +63,7 @@ def is_behind(membrane, body, own, x, force):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_goes_through_is_refused_and_nothing_else(membrane, kind):
+def test_only_penetrating_obstacles_are_refused(membrane, kind):
     rng = np.random.default_rng(0)
     presses = [press(membrane, rng, kind) for _ in range(PRESSES)]
     batch = membrane.solve_batch([[body] for body, _ in presses])

@@ -48,7 +48,7 @@ def test_error_bound_is_of_the_narrowest_and_falls_with_the_grid(solver):
     assert solver.solve(()).relative_force_error == 0.0
 
 
-def test_a_membrane_is_as_fine_as_what_presses_it_needs(solver):
+def test_a_membrane_is_as_fine_as_its_obstacle_requires(solver):
     assert solver.refined_for(solver.obstacle("sphere", (8e-3,)), within=0.03) is solver
     finer = solver.refined_for(rod(0.0))
     assert finer.grid == (41, 31)

@@ -82,7 +82,7 @@ def test_other_membranes_and_pressures_are_the_complete_membrane_s(case):
     assert state.gauge_pressure == pytest.approx(case["pressure_Pa"], rel=3e-3)
 
 
-def test_the_frame_and_the_body_carry_what_the_gas_pushes(fine):
+def test_frame_and_body_carry_the_gas_load(fine):
     state = fine.solve(ball(fine, 8, (3, -2), 8.5))
     slope_free = fine.solve(ball(fine, 8, (3, -2), 8.5), state)
     assert slope_free.steps <= 3  # it is there already
@@ -129,7 +129,7 @@ def test_a_membrane_goes_on_as_its_body_does(coarse):
         ("ball", (0.008,), (0, 0, 0.01), "unknown"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(coarse, kind, sizes, p_SO, message):
+def test_impossible_values_are_refused_in_one_line(coarse, kind, sizes, p_SO, message):
     with pytest.raises(InputError, match=message) as caught:
         coarse.solve(coarse.obstacle(kind, sizes, p_SO=p_SO))
     assert "\n" not in str(caught.value)
@@ -142,7 +142,7 @@ def test_one_node_pulled_to_the_glass_is_beyond_the_rubber_s_law(coarse):
         coarse.solve(coarse.obstacle("heights", data=heights))
 
 
-def test_what_does_not_converge_is_no_number(coarse):
+def test_a_solution_that_does_not_converge_is_nan(coarse):
     """A solution that does not converge gives NaN, and a batch reports the status of each obstacle.
 
     One case is a ball pressed to its equator next to the rim.
@@ -245,7 +245,7 @@ def test_symmetric_bodies_are_the_same_in_any_turn(coarse):
     assert turned.force_normal == pytest.approx(straight.force_normal, rel=1e-4)
 
 
-def test_capsule_ellipsoid_and_hull_agree_with_what_they_are_near(coarse):
+def test_capsule_ellipsoid_and_hull_agree_with_similar_shapes(coarse):
     sphere = coarse.solve(coarse.obstacle("sphere", (8e-3,), p_SO=(1e-3, 0, 9e-3))).force_normal
     same = [("capsule", (8e-3, 1e-9)), ("ellipsoid", (8e-3, 8e-3, 8e-3))]
     for kind, sizes in same:

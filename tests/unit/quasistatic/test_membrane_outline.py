@@ -48,7 +48,7 @@ def test_a_taut_circle_is_a_paraboloid():
 
 
 @SHAPES
-def test_what_the_outline_costs_falls_with_the_spacing_s_square(design):
+def test_the_error_of_the_outline_falls_with_the_square_of_the_spacing(design):
     volumes = [QuasistaticMembrane(design, (n, n), PRESSURE).rest.volume for n in (16, 31, 61)]
     # 4 in theory; nodes lie at any distance from an outline, which scatters it
     assert 2.6 < (volumes[1] - volumes[0]) / (volumes[2] - volumes[1]) < 6
@@ -148,7 +148,7 @@ def test_between_nodes_a_membrane_is_as_smooth_as_its_outline(design):
     assert np.median(np.abs(coarse - fine)) < 1e-6
 
 
-def test_what_touches_the_round_rim_is_reported():
+def test_contact_with_the_round_rim_is_reported():
     solver = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
     aside = HALF / np.sqrt(2)  # within the square about it, and over the rim
     ball = solver.obstacle("sphere", (5e-3,), p_SO=(aside, aside, 4e-3))
@@ -164,7 +164,7 @@ def test_a_membrane_that_was_put_away_knows_its_outline():
 
 
 @pytest.mark.parametrize("name", ["circle", "hexagon"])
-def test_derivatives_do_not_hang_on_what_memory_held_before(name):
+def test_derivatives_are_independent_of_old_memory_content(name):
     solver = QuasistaticMembrane(OUTLINES[name], (21, 17), PRESSURE)
     top = float(solver.rest.heights.max())
     state = solver.solve(solver.obstacle("sphere", (8e-3,), (3.3e-3, -2.7e-3, top + 7e-3)))

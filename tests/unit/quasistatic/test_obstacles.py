@@ -187,7 +187,7 @@ def test_a_disc_is_a_cylinder_whose_rim_is_rounded(quasistatic):
     assert disc == pytest.approx(cylinder, rel=0.03)  # its flat face ends 0.03 mm further in
 
 
-def test_a_plane_carries_what_the_gas_pushes_where_it_lies_on(quasistatic):
+def test_a_plane_carries_the_gas_load_of_its_contact_area(quasistatic):
     state = quasistatic.solve(quasistatic.obstacle("plane", p_SO=(0, 0, 2e-3)))
     assert state.converged
     # the contact is flat: the force is the gas pressure over its area, except for cells at its rim
@@ -256,7 +256,7 @@ def test_nothing_that_cannot_be_is_taken(quasistatic):
         quasistatic.solve(quasistatic.obstacle("heights", data=np.zeros((5, 5))))
 
 
-def test_what_is_no_body_is_refused_in_one_line(quasistatic):
+def test_an_invalid_body_is_refused_in_one_line(quasistatic):
     ball = quasistatic.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
     for none in (None, 3.0, "sphere", [ball, 1.0]):
         with pytest.raises(
@@ -291,7 +291,7 @@ def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):
             quasistatic.solve(cone)
 
 
-def test_how_a_solution_ends_does_not_depend_on_what_memory_held():
+def test_a_solution_is_independent_of_old_memory_content():
     """The result of a solution is independent of old memory content, to the bit or in its message.
 
     If a second attempt started above the membrane, its first step used a factor that had not been

@@ -33,7 +33,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_they_are_what_differences_state(monkeypatch, name):
+def test_they_agree_with_finite_differences(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
     )  # tolerance in m; differences are 1e-6
@@ -157,7 +157,7 @@ def _nodes(membrane):
     return np.stack(np.meshgrid(membrane.x, membrane.y, indexing="ij"), -1).reshape(-1, 2)
 
 
-def test_what_has_no_derivative_is_refused(monkeypatch):
+def test_states_without_derivatives_are_refused(monkeypatch):
     membrane = QuasistaticMembrane("dense", (11, 9), 1000.0)
     shape = SHAPES["ball"][0]
     with pytest.raises(InputError, match="finite"):

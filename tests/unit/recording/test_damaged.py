@@ -151,7 +151,7 @@ def test_without_any_image_the_log_is_read(tmp_path):
         ({"kind": "note", "simulated": {"mesh": [13, 11], "timestep_ms": 4}}, None),
     ],
 )
-def test_what_pages_show_of_a_header_is_checked(row, wrong):
+def test_header_values_shown_on_pages_are_checked(row, wrong):
     assert wrong_note(row) == wrong
 
 

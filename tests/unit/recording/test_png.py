@@ -23,7 +23,7 @@ RNG = np.random.default_rng(0)
     ],
     ids=["random", "noise", "a pixel", "long rows", "strided"],
 )
-def test_opencv_reads_what_was_written(pixels):
+def test_opencv_reads_the_written_file(pixels):
     read = cv2.imdecode(np.frombuffer(png.encode(pixels), np.uint8), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(read, pixels)
     assert read.dtype == np.uint8

@@ -22,7 +22,7 @@ from tests.emulated import wait_for
 from tests.fake_run import fake_cycle, fake_touch, write_fake_recording
 
 
-def test_what_goes_in_comes_out(tmp_path):
+def test_a_recording_returns_its_inputs(tmp_path):
     cycles = write_fake_recording(tmp_path / "run" / "recording", count=20)
     recording = load_recording(tmp_path / "run")  # the run's folder will do
     assert recording.complete and not recording.problems and len(recording) == 20

@@ -45,13 +45,13 @@ def test_a_note_comes_back(tmp_path):
         ("time_s,depth_mm\n,1\n", "missing"),
     ],
 )
-def test_what_is_wrong_is_named(tmp_path, text, message):
+def test_each_error_is_named(tmp_path, text, message):
     (tmp_path / "p.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         read_moves(tmp_path / "p.csv")
 
 
-def test_a_person_is_instructed_what_to_do():
+def test_a_person_receives_instructions():
     assert describe(Move(1.0, 2e-3, 1e-3, 5e-3)) == (
         "1 s: move to 2 mm below the first contact, 1 mm along x, at 5 mm/s"
     )

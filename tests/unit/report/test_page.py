@@ -57,7 +57,7 @@ def write(folder, cycles, summary=SUMMARY, view=None):
     return found, json.loads(found.scripts[0]) if found.scripts else None
 
 
-def test_the_page_states_what_the_recording_states(tmp_path):
+def test_the_page_agrees_with_the_recording(tmp_path):
     cycles = write_fake_recording(tmp_path, count=60)
     found, data = write(tmp_path, cycles, view=FakeScene(2))
     recording = load_recording(tmp_path)
@@ -135,7 +135,7 @@ def test_images_and_membranes_are_those_of_their_time(tmp_path):
     assert len(data["grids"][0]["x"]) == 21 and data["grids"][0]["x"][-1] == pytest.approx(20.0)
 
 
-def test_what_was_simulated_and_why_and_nothing_in_it_is_markup(tmp_path):
+def test_effects_and_reasons_are_on_the_page_without_markup(tmp_path):
     with Recorder(
         tmp_path, {"object": "</script><b>", "command": "mjtactile grasp --seed 3", "seed": 3}
     ) as recorder:

@@ -108,7 +108,7 @@ def test_with_one_processor_there_is_no_second_process(monkeypatch):
         assert beside._worker is None
 
 
-def test_what_the_process_fails_with_is_reported_here(tmp_path, monkeypatch):
+def test_an_error_of_the_process_is_reported_here(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
     write_fake_recording(tmp_path, count=3)
     with figure_writer_process() as beside, pytest.raises(FileNotFoundError, match="no/such"):

@@ -39,7 +39,7 @@ def test_a_lying_cylinder_is_straight_along_itself():
     assert np.linalg.norm(np.cross(across - axis, ray), axis=1) == pytest.approx(1e-2)
 
 
-def test_what_is_unknown_has_no_lines():
+def test_an_unknown_shape_has_no_lines():
     unknown = ContactShape("unknown", {}, status="no body explains the markers")
     assert lines_of(unknown) == []
     assert describe_shape(unknown) == "shape unknown: no body explains the markers"

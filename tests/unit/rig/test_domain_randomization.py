@@ -163,7 +163,7 @@ def test_units_and_fingers():
 
 
 @pytest.mark.parametrize("name", ["egg", "strawberry", "tofu"])
-def test_a_changed_object_weighs_and_measures_what_it_should(name):
+def test_a_changed_object_has_the_right_mass_and_size(name):
     """Length by s, mass by s^3 (1 + m), inertia by s^2 more; springs and moduli by their own
     share."""
     path = load_object(name).path
@@ -315,7 +315,7 @@ def test_commands_that_come_late_come_in_order():
     assert late.min() >= 0.010 - 0.005 and late.max() <= 0.035 and np.ptp(late) > 0.01
 
 
-def test_current_noise_is_in_what_is_reported_alone():
+def test_current_noise_affects_only_the_reported_current():
     world, _, gripper_rig = gripper(RigChange(force_noise=0.1))
     forces = [gripper_rig.state().effort for _ in range(400)]
     # 3 sd of the sd of 400

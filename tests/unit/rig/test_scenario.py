@@ -66,7 +66,7 @@ def test_a_result_gives_the_same_scenario_again(tmp_path, scenario):
         ("object = 3", ["object", "3 is not text"]),
     ],
 )
-def test_what_is_wrong_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):
+def test_an_error_is_one_line_with_file_field_value_and_choices(tmp_path, text, parts):
     path = tmp_path / "mine.toml"
     path.write_text(text + "\n")
     with pytest.raises(InputError) as caught:

@@ -32,7 +32,7 @@ from tests.stub_rig import FEELS, OK, PERIOD, World
 @pytest.mark.parametrize(
     "raised", [SystemExit(0), KeyboardInterrupt(), GeneratorExit(), ZeroDivisionError()]
 )
-def test_a_controller_that_raises_what_it_should_not(raised, tmp_path):
+def test_a_controller_that_raises_an_unexpected_error(raised, tmp_path):
     def step(observation):
         if observation.time > 0.2:
             raise raised

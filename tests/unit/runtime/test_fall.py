@@ -14,7 +14,7 @@ from mjtactile.runtime.grasp_scoring import GraspScore
 @pytest.mark.parametrize(
     ("falls", "outcome"), [(0.002, "held"), (0.012, "held"), (0.02, "dropped")]
 )
-def test_what_falls_from_an_open_gripper_was_dropped(monkeypatch, falls, outcome):
+def test_an_object_that_falls_from_an_open_gripper_was_dropped(monkeypatch, falls, outcome):
     """A fall of 20 mm after release counts as dropped, 2 and 12 mm do not.
 
     An object that nearly stood falls 2 mm, one that rolls out of its cup 12 mm, one that hung in

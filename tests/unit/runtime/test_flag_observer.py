@@ -74,7 +74,7 @@ def _report(line):
 
 
 @pytest.mark.slow
-def test_a_flag_is_in_what_grasp_states(closed, tmp_path, capsys):
+def test_a_flag_is_in_the_output_of_grasp(closed, tmp_path, capsys):
     line, folder = closed
     options = [f"--{key}={value}" for key, value in SCENE.items()]
     controller = f"--controller={folder / 'closes.py'}"

@@ -66,7 +66,7 @@ def run_air(world, valve, step, limits=AIR):
     return control_loop.run_loop(rig, [feels], controller, time_limit=3.0)  # type: ignore[list-item, arg-type]
 
 
-def test_air_starts_at_what_the_gauge_shows_and_is_sealed_when_it_is_left_alone():
+def test_air_starts_at_the_gauge_pressure_and_is_sealed_without_a_command():
     valve = Chamber()
     world = World()
     world.lift = 0.0

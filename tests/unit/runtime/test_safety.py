@@ -33,7 +33,7 @@ def test_the_reason_of_a_command_passes_limits_and_processes():
 
 
 @pytest.mark.parametrize(("how", "height"), [("slid", 0.02), ("pushed", 0.01), ("hangs", 0.0)])
-def test_the_retreat_ends_where_what_is_held_stands(supervisor, how, height):
+def test_the_retreat_ends_where_the_held_object_stands(supervisor, how, height):
     """Until now a bottle that had slid down was driven into the table: down, then open."""
     slid = Slip("slipping", np.zeros(2), 0.02 if how == "slid" else 0.0, 0.0)
     last = Command(0.05, 4.0, 0.04, "hold")
@@ -303,7 +303,7 @@ def test_jaws_that_stay_closed_are_not_called_safe():
     )
 
 
-def test_forces_that_are_gone_verify_what_no_gripper_measures():
+def test_vanished_forces_verify_a_release_without_measured_openings():
     free = replace(OK, force_normal=0.0, touching=False)
     assert not retreat(lambda goal: None, free)[0].unverified
     assert retreat(lambda goal: None, BLIND)[0].unverified == (

@@ -40,7 +40,7 @@ def watch():
         (0.4, 5.0, math.nan),  # no force
     ],
 )
-def test_what_gears_and_data_sheets_take_is_no_flag(watch, free, effort, estimated):
+def test_gear_friction_and_data_sheet_tolerances_raise_no_flag(watch, free, effort, estimated):
     assert not pushed(watch, free, 0.0)
     assert not pushed(watch, effort, estimated)
 

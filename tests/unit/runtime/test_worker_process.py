@@ -33,7 +33,7 @@ def test_arrays_arrive_as_they_were_whether_they_fit_or_not(ends, count):
     assert not second.flags.writeable or not count
 
 
-def test_what_was_received_stays_when_more_is_sent(ends):
+def test_a_received_array_is_unchanged_by_later_messages(ends):
     one, other = ends
     one.send(np.zeros(9))
     (kept,) = other.receive(1.0)
@@ -48,7 +48,7 @@ def test_an_answer_needs_no_memory(ends):
     np.testing.assert_array_equal(one.receive(1.0)[0], np.arange(20000))
 
 
-def test_what_is_closed_can_be_asked_nothing_and_reports_it_as_a_lost_end_does():
+def test_a_closed_process_refuses_requests_like_a_lost_one():
     ours, its = socket.socketpair()
     with its:
         one = Channel(ours, lent=mmap.mmap(-1, ROOM))

@@ -97,7 +97,7 @@ def test_a_change_that_ends_with_the_references_is_none_either(clean, table):
         assert abs(touch.force_normal - requested) < 0.05
 
 
-def test_modes_are_what_a_changed_camera_shows():
+def test_modes_equal_the_image_of_a_changed_camera():
     """Finite differences of the renderer's own projection: each mode's lateral part moves markers
     across their rays, its depth their size, both to first order."""
     design = load_sensor("dense")
@@ -121,7 +121,7 @@ def test_modes_are_what_a_changed_camera_shows():
     assert modes[:, :, 8] == pytest.approx(0)  # no level has changed
 
 
-def test_what_images_determine_of_a_camera_adds_up():
+def test_the_camera_estimate_equals_the_fit_of_all_images():
     """The filter's camera estimate equals one least-squares fit of all images.
 
     The rows (n, MODES) of each image observe a constant camera, and a size jitter that is

@@ -123,7 +123,7 @@ def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     assert shape.area == pytest.approx(np.pi * radius**2, rel=0.6e-3 / radius)
 
 
-def test_nothing_is_reported_of_what_does_not_touch(sensor):
+def test_without_contact_nothing_is_reported(sensor):
     pipeline, state, _ = sensor
     still = touch_of(sensor, pipeline.inverse.positions(state.reference.rest.c))
     shape = shape_of(sensor, still)
@@ -254,7 +254,7 @@ def test_two_balls_at_once_are_two_balls(sensor, fine_membrane):
     assert estimated.contact.area == shape.area
 
 
-def test_the_force_takes_up_what_the_body_bears(sensor, cases):
+def test_the_force_includes_the_load_on_the_body(sensor, cases):
     """Independent sheets."""
     off, chi2 = [], []
     for case in cases[2::3]:
@@ -272,7 +272,7 @@ def test_the_force_takes_up_what_the_body_bears(sensor, cases):
     assert np.mean(chi2) < 2.5  # of four: beyond it once in twenty-five
 
 
-def test_what_is_sharp_is_no_warning_where_a_body_explains_it(sensor, cases):
+def test_a_sharp_shape_that_a_body_explains_is_no_warning(sensor, cases):
     """The uncertainty from sharpness vanishes where a shape explains it.
 
     The shape does not determine the shear: its variance is the remainder of the nodal one's.
@@ -295,7 +295,7 @@ def test_what_is_sharp_is_no_warning_where_a_body_explains_it(sensor, cases):
     assert estimated(12.0)[0, 0] / before[0, 0] == pytest.approx(1.0, abs=0.01)
 
 
-def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sensor, cases):
+def test_shear_above_the_pressure_is_no_load_on_a_body(sensor, cases):
     """Shear that acts above the pressure is not part of the load on a shape.
 
     By statics, shear at a height adds a torque of that height times it, more on sharp shapes.
@@ -322,7 +322,7 @@ def test_shear_that_acts_above_the_pressure_is_no_part_of_what_a_body_bears(sens
     assert taken(s) - taken(lower) == pytest.approx(by_height, abs=1e-6 * 0.05)
 
 
-def test_what_presses_the_membrane_below_its_frame_beside_it_is_uncertain(sensor):
+def test_an_object_beside_the_frame_that_presses_below_it_is_uncertain(sensor):
     """Only there: not in the middle of the sensor, nor where a body stays above the frame."""
     membranes = sensor[2].forward
     frame = membranes.membrane.design.frame

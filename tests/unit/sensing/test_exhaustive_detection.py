@@ -102,7 +102,7 @@ def test_small_dots_whose_first_fit_fails_are_fitted_again():
     assert trusted(detect_thoroughly(image)[0], circles) >= 138
 
 
-def test_what_is_no_circle_is_listed_with_the_reason():
+def test_rejected_circles_are_listed_with_the_reason():
     image = np.full((480, 640), 180, np.uint8)
     cv2.ellipse(image, (100, 100), (40, 4), 0, 0, 360, 40, -1, cv2.LINE_AA)
     cv2.putText(image, "T", (300, 300), cv2.FONT_HERSHEY_SIMPLEX, 2, 40, 6, cv2.LINE_AA)

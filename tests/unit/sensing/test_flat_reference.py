@@ -74,7 +74,7 @@ def test_a_camera_that_sits_askew_is_found_and_taken_out():
     np.testing.assert_allclose(markers.p_SM.mean(axis=0), raised.mean(axis=0), atol=1e-5)
 
 
-def test_what_does_not_fit_the_sensor_file_is_refused():
+def test_a_reference_of_another_sensor_is_refused():
     with pytest.raises(DeviceError, match=r"radius_mm"):
         StatefulPipeline.of(DESIGN).measure_flat_reference(
             flat_images(2, radius=DESIGN.markers.radius * 1.15)

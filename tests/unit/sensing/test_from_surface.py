@@ -106,7 +106,7 @@ def test_shift_turn_and_pressure(membrane):
         ({"points": np.full((100, 3), np.nan)}, "points"),
     ],
 )
-def test_what_cannot_be_is_refused(membrane, change, field):
+def test_impossible_values_are_refused(membrane, change, field):
     given = {
         "points": points_of(membrane, membrane.rest),
         "pressure": 1000.0,

@@ -52,7 +52,7 @@ def test_markers_that_are_none_or_nowhere_are_no_reference(sensing_pipeline, fla
 
 
 @pytest.mark.parametrize("pressure", [None, np.nan, np.inf, "1000"])
-def test_what_is_no_pressure_is_reported(sensing_pipeline, flat, pressure):
+def test_an_invalid_pressure_is_reported(sensing_pipeline, flat, pressure):
     with pytest.raises(InputError, match=r"gauge_pressure: .* is not a (number|pressure in Pa)"):
         sensing_pipeline.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 

@@ -85,7 +85,7 @@ def test_it_recovers_within_an_image(clean, table):
             assert abs(touch.force_normal - requested.force_normal) < 0.03
 
 
-def test_what_has_changed_is_reported():
+def test_a_camera_change_is_reported():
     """The reported camera change is right.
 
     It comes from position and size of ten circles, each measured to 0.005 px, 290 px from the

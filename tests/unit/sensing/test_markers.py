@@ -35,15 +35,13 @@ def errors(image, circles, camera=CAMERA, polarity="dark"):
     return np.where(found, np.linalg.norm(nearer - truth, axis=1), np.inf), poses
 
 
-def assert_right_or_flagged(
-    image, circles, *, at_least, camera=CAMERA, sigmas=6.0, polarity="dark"
-):
+def assert_right_or_flagged(image, circles, *, minimum, camera=CAMERA, sigmas=6.0, polarity="dark"):
     """Check that every trusted marker is a true circle within `sigmas` of its uncertainty, and that
-    at least `at_least` are trusted."""
+    at least `minimum` are trusted."""
     _, poses = errors(image, circles, camera, polarity)
     truth = np.array([c.p_C for c in circles])
     ok = np.flatnonzero(poses.status == "ok")
-    assert len(ok) >= at_least
+    assert len(ok) >= minimum
     for i in ok:
         distance = np.minimum(
             np.linalg.norm(truth - poses.p_CM[i], axis=1),
@@ -166,14 +164,14 @@ HARD = {
 
 @pytest.mark.parametrize("name", HARD)
 def test_hard_light(circles, name):
-    make, at_least = HARD[name]
+    make, minimum = HARD[name]
     exact = marker_scenes.exact_image(CAMERA, circles)
-    assert_right_or_flagged(noisy(make(exact, circles)), circles, at_least=at_least)
+    assert_right_or_flagged(noisy(make(exact, circles)), circles, minimum=minimum)
 
 
 def test_strong_noise(circles):
     assert_right_or_flagged(
-        noisy(marker_scenes.exact_image(CAMERA, circles), 15), circles, at_least=14
+        noisy(marker_scenes.exact_image(CAMERA, circles), 15), circles, minimum=14
     )
 
 
@@ -216,15 +214,15 @@ def test_specks_and_scratches(circles):
     assert found >= 8
 
 
-@pytest.mark.parametrize(("tilt", "at_least"), [(60, 12), (75, 6)])
-def test_steep_markers(tilt, at_least):
+@pytest.mark.parametrize(("tilt", "minimum"), [(60, 12), (75, 6)])
+def test_steep_markers(tilt, minimum):
     circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(5), tilt_deg=(tilt, tilt))
-    assert_right_or_flagged(marker_scenes.image(CAMERA, circles), circles, at_least=at_least)
+    assert_right_or_flagged(marker_scenes.image(CAMERA, circles), circles, minimum=minimum)
 
 
 def test_six_pixel_markers():
     circles = marker_scenes.random_circles(CAMERA, np.random.default_rng(5), depth=(0.14, 0.16))
-    assert_right_or_flagged(marker_scenes.image(CAMERA, circles), circles, at_least=14)
+    assert_right_or_flagged(marker_scenes.image(CAMERA, circles), circles, minimum=14)
 
 
 def test_large_markers_are_found_at_half_the_resolution(circles):
@@ -258,7 +256,7 @@ def test_touching_and_cut_markers_are_flagged():
         ]
 
     touching = row([(200, 240), (240, 240), (281, 240), (322.5, 240), (450, 240)])
-    assert_right_or_flagged(marker_scenes.image(CAMERA, touching), touching, at_least=1)
+    assert_right_or_flagged(marker_scenes.image(CAMERA, touching), touching, minimum=1)
     cut = row([(5, 100), (320, 470), (630, 240), (320, 5), (320, 240), (21.5, 300), (618, 400)])
     _, poses = errors(marker_scenes.image(CAMERA, cut), cut)
     inside = (poses.status == "ok") & (np.abs(poses.uv_px - [320, 240]).max(axis=1) > 100)
@@ -304,7 +302,7 @@ def test_4k_image():
         camera, np.random.default_rng(1), rows=2, columns=3, depth=(0.05, 0.06)
     )
     image = marker_scenes.image(camera, circles, noise_dn=4, blur_px=1.5)
-    assert_right_or_flagged(image, circles, at_least=6, camera=camera)
+    assert_right_or_flagged(image, circles, minimum=6, camera=camera)
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_shear_of_edges_that_catch_the_membrane_is_uncertain_and_that_of_smooth_
     )
 
 
-def test_only_what_lies_beyond_the_markers_is_outside():
+def test_only_positions_beyond_the_markers_are_outside():
     shares = {"outside": (0.0, 0.5, 0.0, 0.0)}
     assert sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0]), **shares)[2] == 0.0
     assert sd(loaded([0.0, 0.0, 0.0], [0.0, 0.0, -1.0]), **shares)[2] == pytest.approx(0.5)
@@ -94,7 +94,7 @@ def test_a_force_that_comes_at_once_may_press_anywhere():
     assert half[2] == 0.0
 
 
-def test_what_is_sharp_counts_up_to_a_limit():
+def test_sharpness_counts_up_to_a_limit():
     estimated = [
         sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], excess=mean), sharp=(0.0, 0.01, 0.0, 0.0))[2]
         for mean in (5, 20, 70)
@@ -102,7 +102,7 @@ def test_what_is_sharp_counts_up_to_a_limit():
     assert estimated == pytest.approx([0.05, 0.2, 0.2])
 
 
-def test_what_a_body_explains_is_sharpness_and_what_is_dragged_to_it_from_all_sides():
+def test_a_body_explains_sharpness_and_drag_from_all_sides():
     """A shape explains the parts `sharp` and `caught`, and `lateral` for shear and spin; the rest
     of the variance remains."""
     estimated = loaded([0.2, 0.0, -2.0], [-0.1, 0.3, 0.0], excess=5.0)

@@ -30,7 +30,7 @@ def stages():
     return [value for value in vars(DEFAULTS).values() if dataclasses.is_dataclass(value)]
 
 
-def test_every_number_states_what_it_is_and_where_it_comes_from():
+def test_every_number_has_a_description_and_a_source():
     for owner in (DEFAULTS, *stages()):
         for field in dataclasses.fields(owner):
             if not dataclasses.is_dataclass(getattr(owner, field.name)):
@@ -69,7 +69,7 @@ def test_overriding_leaves_the_defaults_and_all_others_alone():
     )
 
 
-def test_a_pipeline_works_with_what_it_is_given():
+def test_a_pipeline_uses_its_settings():
     sensing_pipeline = SensingPipeline(
         load_sensor("paper16"),
         settings=DEFAULTS.override({"inverse.spans": (10, 8), "surface.laplacian": 200.0}),
@@ -131,7 +131,7 @@ def test_settings_go_into_recordings_as_json():
     assert json.loads(json.dumps(DEFAULTS.to_dict()))["zero.touch_min"] == 0.02
 
 
-def test_every_stage_works_with_what_it_is_given():
+def test_every_stage_uses_its_settings():
     """One number of each stage that a grasp does not come to, turned so far that its verdict
     turns."""
     sample = np.arange(60) / 30

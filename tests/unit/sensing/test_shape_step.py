@@ -34,7 +34,7 @@ def asked(scale, seed):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_short_step_is_gauss_newton_s_and_promises_what_it_gains(seed):
+def test_a_short_step_equals_gauss_newton_and_predicts_its_gain(seed):
     step, rows, sides = asked(0.1, seed)
     best = np.linalg.lstsq(rows, sides, rcond=None)[0]
     np.testing.assert_allclose(step.by, best, rtol=1e-9)

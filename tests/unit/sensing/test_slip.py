@@ -122,7 +122,7 @@ def test_stick_ratio_is_mindlins(sensor):
         )
 
 
-def test_what_sticks_and_is_dragged_along_does_not_slip(sensor):
+def test_a_sticking_contact_that_is_dragged_does_not_slip(sensor):
     """Rigid translation by 2 mm: shear grows, the patch stays where it was on the material."""
     grown = ramp(10, 20, 20)
     reported = verdicts(sensor, 0.8 * NORMAL * grown, np.zeros(50), dragged=2e-3 * grown)
@@ -198,7 +198,7 @@ def turned_patch(estimator, friction, sticks, radius=9e-3, place=(0.0, 0.0), abo
     return np.vstack([drag * directions, -press])
 
 
-def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
+def test_a_contact_that_rotates_on_the_spot_slips_if_its_shear_is_uniform(sensor):
     """A contact that rotates on the spot slips if its shear over pressure is uniform around the
     center.
 
@@ -226,7 +226,7 @@ def test_what_turns_on_the_spot_slips_where_its_shear_is_even_around(sensor):
     assert reported == [False] * 5 + [True] + [False]
 
 
-def test_what_turns_beside_its_middle_slips_too(sensor):
+def test_a_contact_that_rotates_off_center_slips(sensor):
     """A contact that rotates about an off-center point also slips.
 
     All of it slides about a point 2.5 mm from the center of a patch of 9 mm, a third of it
@@ -272,7 +272,7 @@ def test_rolling_and_turning_do_not_slip(sensor):
     assert "slipping" not in states(reported)
 
 
-def test_what_goes_along_while_its_middle_plainly_sticks_rolls(sensor):
+def test_a_moving_contact_with_a_sticking_center_rolls(sensor):
     """A contact that moves along while its center clearly sticks is rolling, not slip.
 
     A lying cylinder rolls along its load as far as a slip would go; the shear distinguishes them.

@@ -60,7 +60,7 @@ def test_a_body_that_slides_along_the_shear_slips():
         (motion((10e-3, 0.0)), history(dragged=0.1 * 8e-3 / S.follows)),
     ],
 )
-def test_what_sticks_does_not(still):
+def test_a_sticking_contact_does_not_slip(still):
     body, before = still
     assert not slides(body, before)
     moved, after = with_motion(STICKS, before, body)
@@ -78,7 +78,7 @@ def test_a_body_that_turns_on_the_spot_slips():
     assert not spins(motion(spinning=np.nan, spinning_sd=np.nan))
 
 
-def test_what_is_not_known_changes_nothing():
+def test_unknown_motion_changes_nothing():
     unknown = Slip("unknown", np.full(2, np.nan), np.nan, np.nan)
     fast = motion((1.0, 0.0))
     assert with_motion(unknown, history(), fast)[0] is unknown

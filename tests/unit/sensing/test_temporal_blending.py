@@ -51,7 +51,7 @@ def test_images_of_their_own_do_not_lag(missing):
     assert blend(load_sensor("dense"), 0.0, missing=missing).images == 0.0
 
 
-def test_what_moves_is_no_lag():
+def test_motion_is_not_lag():
     """Motion is not taken for blending, and the earlier estimate stays.
 
     The dent grows by four sd per image. Alone, this would look like a repeated image.
@@ -68,7 +68,7 @@ def test_what_moves_is_no_lag():
     assert found.fraction == pytest.approx(0.5, abs=0.15)
 
 
-def test_what_lags_is_as_uncertain_as_it_changes():
+def test_a_lag_adds_the_uncertainty_of_the_change():
     """With a lag of one image, a change of 0.1 N since the last image adds 0.25 N of
     uncertainty."""
     design = load_sensor("dense")

@@ -231,7 +231,7 @@ def test_after_a_torn_image_it_goes_on_where_it_was(loaded):
     assert again.force_normal == pytest.approx(before.force_normal, abs=1e-3)
 
 
-def test_what_fits_no_shape_after_a_large_force_is_an_overload_and_states_of_how_much(loaded):
+def test_an_unexplained_image_after_a_large_force_is_an_overload_with_its_force(loaded):
     sensing_pipeline, strong, surface, state = loaded
     reported = []
     for k in range(20):

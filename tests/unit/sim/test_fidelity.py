@@ -66,7 +66,7 @@ def test_real_time_leaves_room_and_takes_the_most_accurate(table):
     assert Fidelity.for_real_time(table).mesh == (12, 9)
 
 
-def test_effects_are_chosen_for_what_was_asked_and_not_for_what_came_with_it(table):
+def test_effects_are_chosen_for_the_requested_accuracy_only(table):
     """Real time with a fine mesh must not switch on effects that only that mesh's small error calls
     for."""
     assert Fidelity.for_force_error(0.02, table).asked == 0.02
@@ -81,7 +81,7 @@ def test_basis_names_the_measurement_and_the_machine(table):
 
 
 @pytest.mark.parametrize("text", ["0.02", "fast", "-1N", "nanN", "infN", "0N", ""])
-def test_refuses_what_is_no_accuracy(table, text):
+def test_invalid_accuracies_are_refused(table, text):
     with pytest.raises(InputError, match="realtime"):
         Fidelity.parse(text, table)
 

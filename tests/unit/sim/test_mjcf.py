@@ -47,7 +47,7 @@ def test_as_many_as_people_want(tmp_path):
 @pytest.mark.parametrize(
     "text", ["", "<mujoco>", "\0", "<a/>", scene('<replicate count="x">' + GEOM + "</replicate>")]
 )
-def test_what_is_no_mjcf_is_one_line(tmp_path, text):
+def test_a_file_that_is_not_mjcf_is_one_line(tmp_path, text):
     (tmp_path / "bad.xml").write_text(text)
     with pytest.raises(InputError, match=r"bad\.xml: not valid MJCF: ") as caught:
         read_mjcf(tmp_path / "bad.xml")

@@ -103,7 +103,7 @@ def around(design, p_SM, half=26):
         pytest.param(1.3, 0.6, 0.07, (5,), marks=pytest.mark.slow),
     ],
 )
-def test_markers_are_what_rays_see(blur, worst, rms, which):
+def test_markers_agree_with_traced_rays(blur, worst, rms, which):
     design = bent_lens()
     p, n = tilted_scene(design)
     image = Renderer(design).irradiance_image(p, n, effects=Effects(blur_px=blur))
@@ -135,7 +135,7 @@ def test_center_of_darkness_has_no_bias():
         assert dark.sum() == pytest.approx(lit.sum(), rel=1e-3)
 
 
-def test_frame_border_is_what_rays_see():
+def test_the_frame_border_agrees_with_traced_rays():
     design = bent_lens()
     none = np.zeros((0, 3))
     image = Renderer(design).irradiance_image(none, none)

@@ -6,7 +6,7 @@ from mjtactile.sim.fast_reset import Snapshot
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 
-def test_what_follows_a_snapshot_follows_it_again():
+def test_a_restored_snapshot_repeats_the_simulation():
     """In contact, with rubber, gas and friction that remember: one forgotten number would show in
     the last digits."""
     world = GraspWorld("dense", "egg", opening=0.045)

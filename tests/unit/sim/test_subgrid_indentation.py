@@ -80,7 +80,7 @@ def test_a_steep_cone():
     )
 
 
-def test_a_straight_edge_is_what_a_row_of_vertices_shows():
+def test_a_straight_edge_equals_a_row_of_vertices():
     """A line of equal forces bends sheet and mesh alike, up to the 0.08 of ln(0.198/0.25) + 1 - ln
     2."""
     slope = np.array([[0.0, 0.7, 1.0, 0.7]])

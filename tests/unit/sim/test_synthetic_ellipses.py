@@ -117,7 +117,7 @@ def test_errors_are_those_of_the_image_stages(blur):
     np.testing.assert_allclose(ratio, 1.0, atol=0.2)
 
 
-def test_what_is_outside_of_the_image_or_missing_is_not_seen():
+def test_markers_outside_the_image_or_missing_are_not_detected():
     radius = np.full(81, DESIGN.markers.radius)
     radius[7] = 0.0
     p_SM = FLAT[0].copy()

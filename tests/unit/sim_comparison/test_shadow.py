@@ -98,7 +98,7 @@ def test_jaws_that_stand_elsewhere_beside_it_are_allowed_for():
     assert shadow.allowed["opening"] == pytest.approx(2e-4, rel=0.4)
 
 
-def test_what_no_cause_does_is_not_named():
+def test_a_change_without_a_known_cause_is_not_named():
     """Pressure that goes up and down is none of the causes."""
     recorded = formula({}, noise=1.0, seed=SEED)
     swing = 200.0 * np.sin(9 * TIME)[:, None]

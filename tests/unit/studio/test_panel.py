@@ -124,7 +124,7 @@ def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, bridge):
     )
 
 
-def test_the_indentation_is_the_rest_shape_less_what_is_estimated_and_is_brightest_where_it_is_deepest():
+def test_the_indentation_is_rest_minus_estimated_shape_and_brightest_where_deepest():
     touch = fake_touch(0.6, 0.0)
     rest = fake_touch(0.0, 0.0).surface
     field = surface_colormap.field_of(
@@ -307,7 +307,7 @@ def test_another_run_is_of_another_object_with_other_effects(gui, bridge):
     assert bridge.scenario.effects in ("+shadows", "-shadows")  # whichever it was not
 
 
-def test_what_cannot_be_taken_out_is_reported(gui, bridge):
+def test_a_failed_removal_is_reported(gui, bridge):
     gui.want("large deflection", False)
     plugin = ControlWindow(bridge)
     build(plugin)

@@ -12,7 +12,7 @@ from tests.fake_run import fake_cycle
 
 
 @pytest.mark.parametrize(("error", "ends"), [(Interrupted(), True), (DeviceError("a wire"), False)])
-def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, ends):
+def test_ctrl_c_ends_it_and_a_failure_in_a_run_is_shown(monkeypatch, error, ends):
     bridge = SessionBridge()
 
     def fail(*_, **__):
@@ -28,7 +28,7 @@ def test_ctrl_c_ends_it_and_what_fails_in_a_run_is_shown(monkeypatch, error, end
         assert bridge.outcome == "a wire"
 
 
-def test_a_window_without_a_display_is_one_line_that_states_what_to_do(monkeypatch):
+def test_a_window_without_a_display_is_one_line_with_a_remedy(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(
@@ -38,7 +38,7 @@ def test_a_window_without_a_display_is_one_line_that_states_what_to_do(monkeypat
     assert "\n" not in str(error.value)
 
 
-def test_what_mujocos_window_lacks_is_named(monkeypatch):
+def test_missing_features_of_mujocos_window_are_named(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":9")
 
     def lacking(name):

@@ -42,7 +42,7 @@ def shown(bridge, count=1):
         bridge.add(fake_cycle(i), force_normal_true=[0.1, 0.2])
 
 
-def test_a_cycle_is_shown_with_what_was_true():
+def test_a_cycle_is_shown_with_its_ground_truth():
     bridge = SessionBridge()
     shown(bridge, 3)
     snapshot = bridge.snapshot()
@@ -110,7 +110,7 @@ def test_a_signal_ends_a_pause(monkeypatch):
     assert not bridge.paused
 
 
-def test_what_is_asked_for_is_done_by_the_sessions_thread_and_what_raises_is_reported():
+def test_requests_run_in_the_sessions_thread_and_errors_are_reported():
     bridge = SessionBridge()
     done = []
     bridge.session = fake_session()

@@ -16,7 +16,7 @@ SCENE = """
 
 
 @pytest.mark.parametrize("turned", [0.0, 90.0])
-def test_membranes_are_seen_from_aside_and_the_mouse_moves_what_weighs_grams(turned):
+def test_membranes_are_shown_from_the_side_and_the_mouse_moves_light_objects(turned):
     model = mujoco.MjModel.from_xml_string(SCENE)
     angle = np.radians(turned)
     closes = np.array([np.cos(angle), np.sin(angle), 0.0])
