@@ -104,8 +104,7 @@ def press(
         converged = world.press(depth)
         if plan.shear:
             converged = world.press(depth, plan.shear)
-        view.touch()  # skip the first image: the covariance of a sudden load change is inflated
-        touches.append(view.touch())
+        touches.append(view.settled_touch())
         steps.append(_step(world, touches[-1], converged))
         if plan.shear:
             world.press(depth)
@@ -129,7 +128,7 @@ def press(
         "mesh": [grid.nx, grid.ny],
         "steps": steps,
         "shape": shape,
-        "flags": world.flags,
+        "flags": view.flags,
     }
 
 

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
+from mjtactile.core.flags import Flags, merge_flags
 from mjtactile.core.types import Image, PressureReading, Touch
+from mjtactile.runtime.uncertain_force_monitor import UncertainForceMonitor
 from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sensing.touch.squeeze import contact_face
@@ -44,6 +46,12 @@ class View:
         if isinstance(sensor, TactileSensor):
             settings = DEFAULTS.for_mesh(design, (sensor.mesh.nx, sensor.mesh.ny))
         self.perception = StatefulPipeline.of(design, settings=settings)
+        self._uncertain = UncertainForceMonitor(["sensor"], lasts=0.0)  # the loads are settled
+
+    @property
+    def flags(self) -> Flags:
+        """Reasons for reduced accuracy of the world and of the estimates."""
+        return merge_flags((self.world.flags, self._uncertain.flags))
 
     def image(self) -> Image:
         """Return the current camera image."""
@@ -56,6 +64,14 @@ class View:
     def touch(self) -> Touch:
         """Return the touch estimated from one image."""
         return self.perception.perceive(self.image(), self.world.time, self._reading())
+
+    def settled_touch(self) -> Touch:
+        """Return the touch of a second image. The covariance of the first includes a sudden load
+        change."""
+        self.touch()
+        touch = self.touch()
+        self._uncertain.on_touches(self.world.time, [touch])
+        return touch
 
     def _reading(self) -> PressureReading | None:
         """Return a reading of the pressure sensor; None without one."""

@@ -190,7 +190,7 @@ def _grip(
         session = Session(rig, threads=0)
         session.take_references()
         session.run(GripController((height,), force), time_limit=_GRIP_TIME, observer=log)
-        flags |= merge_flags((flags, rig.flags()))
+        flags |= merge_flags((flags, session.flags))
         designs = [finger.design for finger in rig.fingers]
         return patches_of_grip(
             log.cycles, session.perceptions, designs, yaw=turn, group=grip_number

@@ -17,6 +17,7 @@ import numpy as np
 
 from mjtactile.core.errors import DeviceError, InputError, SimulationError
 from mjtactile.core.fidelity_levels import disabled_effects
+from mjtactile.core.flags import merge_flags
 from mjtactile.core.not_copyable import NotCopyable
 from mjtactile.core.option_requirements import require_effects
 from mjtactile.core.policy import command_from_action, fraction_released
@@ -25,7 +26,7 @@ from mjtactile.core.signature_checks import above, validated
 from mjtactile.core.task import load_task
 from mjtactile.core.types import Array
 from mjtactile.gym.observation_space import show, space_of
-from mjtactile.recording.observer import Observer
+from mjtactile.recording.observer import Observer, Observers
 from mjtactile.recording.policy_data import REWARDS
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.finger import Rig
@@ -37,6 +38,7 @@ from mjtactile.runtime.session import Session
 from mjtactile.runtime.set_down import ENDS
 from mjtactile.runtime.supervisor import Supervisor
 from mjtactile.runtime.task_scoring import TaskScorer
+from mjtactile.runtime.uncertain_force_monitor import UncertainForceMonitor
 from mjtactile.sim.fast_reset import Restart, movable
 
 RANDOM = "random"
@@ -171,7 +173,8 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         assert self._session is not None
         names = [finger.name for finger in rig.fingers]
         perceivers = Perceivers(self._session.perceptions, names, threads=0)
-        observer = _CycleObserver(self._score)
+        self._uncertain = UncertainForceMonitor(names)
+        observer = Observers([_CycleObserver(self._score), self._uncertain])
         self._cycle = ControlCycle.start(rig, perceivers, Supervisor(rig.period), observer)
         self._start = self._cycle.now
         self._update()
@@ -324,7 +327,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
             **{k: v for k, v in found.items() if math.isfinite(v)},
             **self._left_out,
             **({"randomized": dict(randomized)} if randomized else {}),
-            "flags": dict(rig.flags()),
+            "flags": merge_flags((rig.flags(), self._uncertain.flags)),
             **({"problem": self._problem} if self._problem else {}),
         }
 

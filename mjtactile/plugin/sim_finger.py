@@ -16,12 +16,13 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
-from mjtactile.core.flags import Flags
+from mjtactile.core.flags import Flags, merge_flags
 from mjtactile.core.not_copyable import NotCopyable
 from mjtactile.core.signature_checks import not_below, validated
 from mjtactile.core.types import Array, ContactShape, Image, Surface, Touch
 from mjtactile.rig.finger import Finger
 from mjtactile.runtime.references import take_references
+from mjtactile.runtime.uncertain_force_monitor import UncertainForceMonitor
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.settings import DEFAULTS
@@ -200,12 +201,12 @@ class SimFinger(NotCopyable):
 
     @property
     def flags(self) -> Flags:
-        """Flags since `reset`: reasons for reduced simulation accuracy, by kind (`sharp_edge`,
-        `frame_contact`, `speed`, ...).
+        """Flags since `reset`: reasons for reduced accuracy, by kind (`sharp_edge`,
+        `frame_contact`, `speed`, `uncertain`, ...).
 
         The times are those of the scene.
         """
-        return MappingProxyType(self._stepper.flags)
+        return MappingProxyType(merge_flags((self._stepper.flags, self._uncertain.flags)))
 
     def ground_truth_wrench(self) -> Array:
         """Return the contact wrench of the simulation, for evaluation only.
@@ -233,6 +234,8 @@ class SimFinger(NotCopyable):
         self._finger = Finger(self.name, self.design, self._camera, self._valve)
         self._perception = StatefulPipeline(rest.pipeline, rest.state)
         self._stepper = Stepper(self._model, self._data, [self.sensor])
+        self._uncertain = UncertainForceMonitor([self.name])
+        self._is_stepping = False
         self._time = float(self._data.time)
         self._process_image()
         self._next_image = self._time + self._period
@@ -300,10 +303,13 @@ class SimFinger(NotCopyable):
         """Advance the gas to the current state. Callers that use `mj_step` directly must call this
         right before it.
 
-        Raises InputError when the scene was stepped or reset without this finger.
+        Raises InputError when the scene was stepped or reset without this finger, or `after_step`
+        was left out.
         """
         self.require_scene(self._model, self._data)
         self._require_time()
+        self._require_order(is_stepping=False)
+        self._is_stepping = True
         self._stepper.before_step()
 
     def after_step(self) -> None:
@@ -312,9 +318,12 @@ class SimFinger(NotCopyable):
         Callers that use `mj_step` directly must call this right after it.
 
         Raises:
+            InputError: `before_step` was left out.
             SimulationError: The state is invalid: it diverged, or an object passed through the
                 membrane.
         """
+        self._require_order(is_stepping=True)
+        self._is_stepping = False
         self._time = float(self._data.time)
         self._stepper.after_step()
         if self._time > self._next_image - self._model.opt.timestep / 2:
@@ -331,6 +340,7 @@ class SimFinger(NotCopyable):
         self._image = self._camera.read()
         reading = self._finger.pressure_reading(self._valve.state())
         self._touch = self._perception.perceive(self._image, self._time, reading)
+        self._uncertain.on_touches(self._time, [self._touch])
         reference = self._perception.state.reference
         rest = None if reference is None else reference.surface
         gas = (self.gauge_pressure, self.sensor.temperature)
@@ -345,6 +355,15 @@ class SimFinger(NotCopyable):
         values = (wrench, self.gauge_pressure, touch.touching if known else math.nan)
         for address, value in zip(self._outputs, values, strict=True):
             self._data.sensordata[address] = value
+
+    def _require_order(self, *, is_stepping: bool) -> None:
+        """Raise InputError if a step has begun or not, other than `is_stepping`."""
+        if self._is_stepping != is_stepping:
+            raise InputError(
+                "needs before_step() directly before each mj_step and after_step() directly after "
+                "it, or mjtactile.step; call reset() first",
+                source=f"finger {self.name!r}",
+            )
 
     def _require_time(self, slack: float = 0.0) -> None:
         """Raise InputError if this finger is more than `slack`, s, behind the scene."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from mjtactile.core.types import Image
+from mjtactile.core.types import Image, Touch
 
 
 class Observer:
@@ -56,6 +56,14 @@ class Observer:
     def on_images(self) -> None:
         """Handle the images of a cycle. A simulated world is still paused at their time."""
 
+    def on_touches(self, time: float, touches: Sequence[Touch]) -> None:
+        """Receive the estimates of a cycle, before the controller.
+
+        Args:
+            time: Time of the cycle, s.
+            touches: Touch of each finger.
+        """
+
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         """Receive a cycle after its command was sent.
 
@@ -95,6 +103,10 @@ class Observers(Observer):
     def on_images(self) -> None:
         for observer in self._observers:
             observer.on_images()
+
+    def on_touches(self, time: float, touches: Sequence[Touch]) -> None:
+        for observer in self._observers:
+            observer.on_touches(time, touches)
 
     def add(self, cycle: Any, view: Any = None, **truth: Any) -> None:
         for observer in self._observers:

@@ -123,6 +123,7 @@ class ControlCycle:
             self._touch_unknown(Status(StatusCode.PERCEPTION_TIMEOUT, self.supervisor.reason))
         if not self.attempt(self._read_gripper):
             self.gripper = _UNKNOWN_GRIPPER
+        self.attempt(lambda: self.observer.on_touches(self.now, self.touch))
         self.perception_ms = 1e3 * (wall.perf_counter() - self._seen)
         rig = self.rig
         return Observation(

@@ -17,6 +17,7 @@ from mjtactile.core.fidelity_levels import fidelity_notes as fidelity_notes
 from mjtactile.core.flags import Flags
 from mjtactile.core.scenario import TIME_LIMIT, Scenario
 from mjtactile.core.task import load_task
+from mjtactile.core.types import Touch
 from mjtactile.recording.observer import Observer, Observers
 from mjtactile.rig.finger import Rig
 from mjtactile.runtime.controller import LoadedController, load_controller
@@ -159,6 +160,9 @@ class _Log(Observer):
         if self.estimate is not None and self.phases[-1:] == ["hold"]:
             self.estimate.keep()
         self._watching.on_images()
+
+    def on_touches(self, time: float, touches: Sequence[Touch]) -> None:
+        self._watching.on_touches(time, touches)
 
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         self._set_down.watch(cycle.touch, cycle.sent)

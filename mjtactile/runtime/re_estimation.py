@@ -34,12 +34,14 @@ def replay_touches(recording: Recording, session: Session) -> Iterator[tuple[Tou
     for cycle, images in enumerate(recording.images()):
         time = float(recording.column("time")[cycle, 0])
         readings = session.rig.readings(recording.valves(cycle))
-        yield tuple(
+        touches = tuple(
             perception.perceive(image, time, reading)
             for perception, image, reading in zip(
                 session.perceptions, images, readings, strict=False
             )
         )
+        session.monitor.on_touches(time, touches)
+        yield touches
 
 
 def zeroed_pipeline(

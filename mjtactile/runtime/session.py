@@ -80,10 +80,12 @@ class Session:
         self._notify = notify
         self.is_closed = False
         """True once its rig was closed."""
+        self._has_references = False
+        self._user = ""
         self._supervisor = Supervisor(rig.period)
         names = tuple(finger.name for finger in rig.fingers)
         self._push = UnsensedForceMonitor(names, rig.period)
-        self._uncertain = UncertainForceMonitor(names)
+        self.monitor = UncertainForceMonitor(names)
         if perceptions is None and rig.touch_is_synthetic:
             perceptions = [SyntheticPerception() for _ in rig.fingers]
         elif perceptions is None:
@@ -110,7 +112,7 @@ class Session:
         On a real rig the kinds are "uncertain", and "unsensed_force": the servo forces exceed the
         forces estimated on the fingers.
         """
-        return merge_flags((self.rig.flags(), self._push.flags, self._uncertain.flags))
+        return merge_flags((self.rig.flags(), self._push.flags, self.monitor.flags))
 
     def take_references(self, observer: Observer | None = None) -> None:
         """Take the references of every sensor.
@@ -124,8 +126,9 @@ class Session:
         Raises:
             DeviceError: The camera images do not agree with the sensor file.
         """
-        self._require_open()
+        self._require_free()
         observer = observer or Observer()
+        self._has_references = False
         rig = self.rig
         simulated = {"simulated": rig.simulated} if rig.simulated else {}
         observer.note(
@@ -138,10 +141,12 @@ class Session:
         self._report_references(observer)
         if rig.touch_is_synthetic:  # references are not used
             inflate(rig.fingers, rig.clock)
+            self._has_references = True
             return
         for reference in take_references(rig.fingers, rig.clock, self._notify):
             observer.add_reference(reference.stage, reference.images, reference.gauge_pressure)
             self._zero(reference)
+        self._has_references = True
 
     def _zero(self, reference: ReferenceImages) -> None:
         """Measure the reference of each sensing pipeline from its own images."""
@@ -202,13 +207,13 @@ class Session:
 
         Raises:
             InputError: The controller requires shapes, but the touch is synthetic. It is not a
-                controller, or the session is closed.
+                controller, or the session is closed, in use or without references.
             ControllerError: The controller failed.
             DeviceError: A device failed; also after a fault brought the rig to its safe state.
             Interrupted: A signal requested the end of the process.
             SimulationError: The simulation failed.
         """
-        self._require_open()
+        self._require_free()
         if not (callable(getattr(controller, "step", None)) and hasattr(controller, "path")):
             choices = ["mjtactile.load_controller(FILE)"]
             text = f"{shown(controller)} is not a controller"
@@ -222,12 +227,12 @@ class Session:
         notes = FlagObserver(lambda: self.flags, Observers(watching))
         # simulation provides the forces outside the sensors, so only a real rig is monitored
         is_real = math.isfinite(self.rig.host_timeout)
-        watched: list[Observer] = [notes, self._uncertain, *([self._push] if is_real else [])]
+        watched: list[Observer] = [notes, self.monitor, *([self._push] if is_real else [])]
         if self.rig.workload is not None:
             notify = Observers(watching).message
             shapes = self._shapes or reads
             watched.append(SlownessMonitor(self.rig.workload, notify, contact_shapes=shapes))
-        with signals.deferred() as stop, notes:
+        with signals.deferred() as stop, notes, self._in_use("run"):
             return run_loop(
                 self.rig,
                 self.perceptions,
@@ -246,17 +251,35 @@ class Session:
 
         Yields:
             The stepwise control: call `observe`, then `send`, repeatedly.
-        """
-        self._require_open()
-        found = StepwiseControl(self.rig, self.perceptions, self._threads)
-        try:
-            yield found
-        finally:
-            found.close()
 
-    def _require_open(self) -> None:
+        Raises:
+            InputError: The session is closed, in use or without references.
+        """
+        self._require_free()
+        with self._in_use("steps"):
+            found = StepwiseControl(self.rig, self.perceptions, self._threads, self.monitor)
+            try:
+                yield found
+            finally:
+                found.close()
+
+    @contextlib.contextmanager
+    def _in_use(self, user: str) -> Iterator[None]:
+        """Reserve the rig for one loop. Raises InputError without references."""
+        if not self._has_references:
+            text = f"has no references: call take_references() before {user}"
+            raise InputError(text, source="Session")
+        self._user = user
+        try:
+            yield
+        finally:
+            self._user = ""
+
+    def _require_free(self) -> None:
         if self.is_closed:
             raise InputError("is closed: open another one", source="Session")
+        if self._user:
+            raise InputError(f"is in use by {self._user}: end it first", source="Session")
 
     def _require_shapes(self, asks: bool, source: Path | None = None) -> None:
         if asks and self.rig.touch_is_synthetic:

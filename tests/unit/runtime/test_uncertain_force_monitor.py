@@ -4,11 +4,14 @@ raise it, and no controller reacts to it."""
 import math
 from types import SimpleNamespace
 
+import mujoco
 import numpy as np
 import pytest
 
 import mjtactile
 from mjtactile.core.flags import FLAGS
+from mjtactile.experiments.indentation import IndentationPlan, Indenter, press
+from mjtactile.gym.env import GraspEnv
 from mjtactile.runtime import uncertain_force_monitor
 from mjtactile.runtime.uncertain_force_monitor import KIND, UncertainForceMonitor
 
@@ -22,7 +25,7 @@ def held(watch, force, sd, seconds=1.0):
         touching = bool(force > 0.02)
         left = SimpleNamespace(force_normal=force, force_normal_sd=sd, touching=touching)
         right = SimpleNamespace(force_normal=0.5, force_normal_sd=0.02, touching=True)
-        watch.add(SimpleNamespace(time=watch.time, touch=(left, right)))
+        watch.on_touches(watch.time, (left, right))
     return watch.flags
 
 
@@ -75,3 +78,54 @@ def test_the_flag_changes_no_command(monkeypatch):
         commands.append([[c.opening, c.lift_height, c.force_limit or 0.0] for c in sent])
     assert len(commands[0]) > 30
     np.testing.assert_array_equal(*commands)
+
+
+def stepwise():
+    """Close on the egg in a loop of the caller's own."""
+    with mjtactile.open_session(mjtactile.Scenario(effects="-mesh,-pipeline")) as session:
+        session.take_references()
+        with session.steps() as steps:
+            for _ in range(60):
+                seen = steps.observe()
+                goal = max(seen.command.opening - 1e-3, 0.0)
+                steps.send(mjtactile.Command(goal, 1.0))
+        return session.flags
+
+
+def environment():
+    env = GraspEnv(effects="-mesh,-pipeline")
+    env.reset(seed=0)
+    for k in range(45):
+        speed = -1.0 if k < 29 else 0.0  # stop at the first contact
+        flags = env.step(np.array([speed, 0.0, 0.0]))[4]["flags"]
+    env.close()
+    return flags
+
+
+def scene():
+    """Let a ball of 20 g lie on a sensor for 0.5 s."""
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec)
+    spec.worldbody.add_site(name="tip")
+    ball = spec.worldbody.add_body(pos=(0, 0, 0.02))
+    ball.add_freejoint()
+    ball.add_geom(size=(0.01, 0, 0), mass=0.02)
+    mount = mjtactile.attach(spec, "dense", site="tip", effects="-mesh")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    finger = mount.bind(model, data)
+    mjtactile.step(model, data, [finger], round(0.8 / model.opt.timestep))
+    return finger.flags
+
+
+def pressed():
+    plan = IndentationPlan(Indenter("sphere", 8e-3), [2e-3])
+    return press(mjtactile.load_sensor("dense"), plan, effects=())["flags"]
+
+
+# a threshold of 0 flags each touch: every way to use a sensor reports it
+@pytest.mark.parametrize("use", [stepwise, environment, scene, pressed])
+def test_every_loop_reports_the_flag(monkeypatch, use):
+    assert KIND not in use()
+    monkeypatch.setattr(uncertain_force_monitor, "_SD_FRACTION", 0.0)
+    assert KIND in use()
