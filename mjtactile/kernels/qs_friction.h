@@ -1,6 +1,10 @@
 /* State and inputs of a quasi-static membrane in a moving scene, and rotations of its frame. */
 #ifndef MJTACTILE_QS_FRICTION_H
 #define MJTACTILE_QS_FRICTION_H
+#include <stdint.h>
+#include "quasistatic.h"
+
+#define QS_LEAST 1e-4   /* force below which nothing sticks, N */
 
 /* State of a membrane between updates, all doubles. sim/sensor/quasistatic_gas.py has the
    indices. */
@@ -61,5 +65,33 @@ static inline void outof(const double *R, const double *v, double *out) { /* R v
 static inline void across(const double *a, const double *b, double *out) {
     for (int i = 0; i < 3; i++) out[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
 }
+
+/* Loads of the nodes in contact (2, count), N; displacements by which they lag behind their bodies
+   (2, count), m; patch of each node at the last sticking stiffness, plus one; loads by unit motions of
+   the patches (3 slots, 2, count); workspace for a list of nodes (count). */
+typedef struct { const int32_t *patch; double *load, *lag, *unit; int32_t *node; } Held;
+
+/* Return the position of a node in the plane, along x or y. */
+static inline double qs_x_of(const Membrane *f, const double *x, long k) { return k / f->rows * f->dx - f->numbers.length_x / 2 + x[k]; }
+static inline double qs_y_of(const Membrane *f, const double *x, long k) {
+    return k % f->rows * f->dy - f->numbers.length_y / 2 + x[f->count + k];
+}
+
+/* Return component `c` of the rigid motions x, y and rotation of a point at `off` from the center. */
+static inline double qs_rigid(int c, int axis, const double off[2]) { return c < 2 ? c == axis : axis ? off[0] : -off[1]; }
+
+/* Compute the stiffness `grip` (3 slots, 3 slots) of the contact nodes against x, y and rotation of
+   the patches about their centers, and their loads. The nodes of a patch move as one rigid set. A
+   node joins the contact without a load: the others were displaced before. The others take over the
+   loads of nodes that leave. Returns 1 if memory runs out. */
+int qs_find_grip(const Membrane *f, const double *x, const double *compliance, long slots, double *grip, Held *h, Memory *m,
+                     Patch *patches);
+
+/* Move the patches by `along` (slots, 3) against the membrane, up to Coulomb's limit of each node for
+   the forces `pressed` (slots). Return the sliding distance, m, of the mean of the patches weighted by
+   force: parts of a soft body that are pressed apart slide in opposite directions. Returns -1 if
+   memory runs out. */
+double qs_stick(const Membrane *f, const Given *g, const double *compliance, const double *x, const double *force, long slots,
+                    const double *pressed, const double *along, Held *h, Patch *patches);
 
 #endif

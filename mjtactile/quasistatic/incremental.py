@@ -35,7 +35,7 @@ _MAX_STEPS = 40
 HEAT_RATIO = 14
 """Index of the gas exponent in a membrane's parameters."""
 AWAY = 10.0
-"""Position, m, of obstacles that are not near (kernels/qs_friction.c)."""
+"""Position, m, of obstacles that are not near (kernels/qs_scene.c)."""
 _RAMP = 200.0  # maximum change of gas pressure in one solution, Pa
 
 

@@ -1,6 +1,6 @@
 """Forces, friction and sticking of the bodies on one membrane, as Warp functions.
 
-The rules of kernels/qs_friction.c: a contact patch moves with its body as one rigid set, the
+The rules of kernels/qs_follow.c: a contact patch moves with its body as one rigid set, the
 membrane holds it by its in-plane stiffness (X7 of docs/theory/quasistatic_membrane.md). Coulomb's
 limit: node_friction.py. SI units, frame S.
 """
