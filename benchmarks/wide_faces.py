@@ -19,6 +19,7 @@ from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sim import ground_truth
 from mjtactile.sim.attach import default_mesh
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
+from mjtactile.sim.sensor.contact_loads import frame_load
 
 SENSORS = ("dense", "fine", "paper16", "round30")
 DEPTHS = np.arange(0.5e-3, 2.8e-3, 0.25e-3)
@@ -79,14 +80,16 @@ def run(
 def _press(
     sensor: str, plate: Plate, mesh: tuple[int, int], *, gauge: bool
 ) -> Iterator[tuple[float, float, float, bool]]:
-    """Yield ground truth force, estimate and standard deviation, N, of each step; NaN: unknown. The
-    last value is True with the flag `sharp_edge`."""
+    """Yield ground truth force, estimate and standard deviation, N, of each step above the frame;
+    NaN: unknown. The last value is True with the flag `sharp_edge`."""
     design = load_sensor(sensor)
     world = PressWorld(design, Indenter("box", plate.size), at=plate.at, tilt=plate.tilt, mesh=mesh)
     view = View(world, design, seed=plate.seed, gauge=gauge)
     take_references(world, [view], design.chamber.supply_gauge)
     for depth in DEPTHS:
         world.press(depth)
+        if frame_load(world.data, world.sensors[0])[0] > 0:
+            return
         view.touch()  # the covariance of a sudden load change is inflated
         touch = view.touch()
         force = -float(ground_truth.contact_force(world, 0)[2])

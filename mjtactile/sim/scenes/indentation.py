@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -35,6 +36,9 @@ _FILES = {**dict.fromkeys(SUFFIXES, "mesh"), ".xml": "model"}
 # stiffness, N/m, and mass, kg, of the drive: deflection of 5 um at 1 N
 _STIFFNESS = 2e5
 _MASS = 0.2
+# solimp of the frame's contacts: the drive's 200 N per mm penetrate by less than 0.1 mm
+_HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+_FRAME_FIRST = 1e-4  # refused height of the touch of the frame above that of the membrane, m
 
 
 class Indentations(Protocol):
@@ -152,7 +156,9 @@ class PressWorld(World):
         holder = body.add_body(
             name="holder", gravcomp=1.0, quat=[np.cos(tilt / 2), 0, np.sin(tilt / 2), 0]
         )
+        others = {geom.name for geom in spec.geoms}
         indenter.add_to(spec, holder)
+        _collide_with_frame(spec, others)
         super().__init__(spec, [attachment])
         self._x, self._z = (self.model.actuator(f"drive_{axis}").id for axis in "xz")
         self._joints = [self.model.joint(f"drive_{axis}").qposadr[0] for axis in "xz"]
@@ -160,6 +166,7 @@ class PressWorld(World):
             np.isin(self.model.geom_bodyid, _subtree(self.model, self.model.body("indenter").id))
         )
         self._touch_height = 0.0
+        self._frame_height = 0.0
         self._surface = MarkerInterpolator(self.sensors[0].mesh, _membrane_points(self.design, at))
         self._shake = shake
         self._carrier = self.model.actuator("carrier").id
@@ -179,8 +186,17 @@ class PressWorld(World):
     def press(self, depth: float, shear: float = 0.0, speed: float = 0.02) -> bool:
         """Drive to `depth` m below first touch and `shear` m along x; return True if it settled.
 
-        Shear is slow: the membrane's damping would load the contact's edge and let it slip.
+        Shear is slow: the membrane's damping would load the contact's edge and let it slip. Raises
+        InputError if the indenter would touch the frame before the membrane.
         """
+        if self._frame_height > self._touch_height + _FRAME_FIRST:
+            raise InputError(
+                "touches the frame before the membrane, by "
+                f"{1e3 * (self._frame_height - self._touch_height):.2g} mm: use a smaller one, "
+                "less tilt, or a position nearer to the center",
+                source="press",
+                field="indenter",
+            )
         moves = abs(shear - float(self.data.ctrl[self._x])) > 0
         self.drive(depth, shear, min(speed, _SHEAR_SPEED) if moves else speed)
         return self.settle(speed=_STILL)
@@ -254,35 +270,62 @@ class PressWorld(World):
                 field="indenter",
             )
         points = self._surface.marker_poses(sensor.p_SV)[0]
-        probe = int(sensor.vertex_geom_ids[0])
-        height = _AWAY
         R_WS = self.data.xmat[sensor.body_id].reshape(3, 3).copy()
         p_WS = self.data.xpos[sensor.body_id].copy()
+        self._touch_height = self._lowered(lambda: self._gap(points @ R_WS.T + p_WS))
+        self._frame_height = self._lowered(self._frame_gap)
+        self._place(max(self._touch_height, self._frame_height) + _CLEARANCE)
+
+    def _lowered(self, gap: Callable[[], float]) -> float:
+        """Lower the indenter by its `gap`, m, until it is 0; return the height, m."""
+        height = _AWAY
         for _ in range(50):
             self._place(height)
-            gap = self._gap(points @ R_WS.T + p_WS, probe)
-            height -= gap
-            if abs(gap) < 1e-7:
+            distance = gap()
+            height -= distance
+            if abs(distance) < 1e-7:
                 break
-        self._touch_height = height
-        self._place(height + _CLEARANCE)
+        return height
 
-    def _gap(self, points: np.ndarray, probe: int) -> float:
+    def _gap(self, points: np.ndarray) -> float:
         """Return the minimum distance of the indenter from membrane spheres at `points` (n, 3),
         m."""
+        probe = int(self.sensors[0].vertex_geom_ids[0])
         gaps = []
         for point in points:
             self.data.geom_xpos[probe] = point
-            gaps += [
-                mujoco.mj_geomDistance(self.model, self.data, probe, int(geom), 0.5, None)
-                for geom in self._geoms
-            ]
+            gaps.append(self._distance(probe))
         return min(gaps)
+
+    def _frame_gap(self) -> float:
+        """Return the minimum distance of the indenter from the frame, m."""
+        return min(self._distance(int(wall)) for wall in self.sensors[0].housing_geom_ids)
+
+    def _distance(self, geom: int) -> float:
+        """Return the distance of the indenter from a geom, at most 0.5 m; negative: penetration."""
+        return min(
+            mujoco.mj_geomDistance(self.model, self.data, geom, int(part), 0.5, None)
+            for part in self._geoms
+        )
 
     def _place(self, height: float) -> None:
         self.data.qpos[self._joints[1]] = height
         self.set_control(self._z, height)
         mujoco.mj_forward(self.model, self.data)
+
+
+def _collide_with_frame(spec: mujoco.MjSpec, others: set[str]) -> None:
+    """Add contact pairs of the sensor's housing, which is among the geoms `others`, and the
+    indenter's geoms. MuJoCo ignores contacts of a body with the one that carries it."""
+    housing = [name for name in others if name.startswith("sensor/housing")]
+    geoms = [geom for geom in spec.geoms if geom.name not in others]
+    for number, geom in enumerate(geoms):
+        if not (geom.contype or geom.conaffinity):
+            continue
+        geom.name = geom.name or f"indenter part {number}"
+        for wall in housing:
+            pair = spec.add_pair(geomname1=geom.name, geomname2=wall)
+            pair.solimp = _HARD
 
 
 def _extent(indenter: Indentations) -> float:
