@@ -137,6 +137,11 @@ def contact_wrench(world: World, sensor: int) -> Array:
     return loads.membrane_wrench(world.data, world.sensors[sensor])
 
 
+def frame_load(world: World, sensor: int) -> float:
+    """Return the force, N, on a sensor's frame and housing."""
+    return loads.frame_load(world.data, world.sensors[sensor])[0]
+
+
 def contact_area(world: World, sensor: int, spacing: float = 4e-4) -> float:
     """Return the area of the membrane in contact, m^2; 0 without contact.
 
