@@ -4,6 +4,7 @@ surface, contact."""
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +28,7 @@ from mjtactile.recording.files import write_json
 from mjtactile.report.frame_source import NamedImage, marker_overlay, read_frames, to_image
 from mjtactile.report.summary_figure import plot_surface_map
 from mjtactile.runtime.progress import Progress
-from mjtactile.types import Contact, Markers, Surface, Touch, Traction
+from mjtactile.types import Contact, Markers, Status, StatusCode, Surface, Touch, Traction
 
 SIMULATES = False
 DESCRIPTION = """\
@@ -57,6 +58,7 @@ JSON: {"sensor": …, "frames": [{"source", "status", "markers": [{"id", "p_SM_m
   need a missing calibration, are null.
 """
 FIGURES_MAX = 40
+_STRETCH_MAX = 1.4  # mean stretch of the mounted membrane; rubber at 3 kPa and under load: 1.2
 _CONTACT = ("contact_area_mm2", "contact_area_interval_mm2", "contact_centroid_mm", "depth_mm")
 
 
@@ -138,6 +140,8 @@ def _reconstruct(
         markers, perception.state = pipeline.detect_markers(state, image)
         status = pipeline.check_markers(markers)
         surface = pipeline.fitter.fit(markers) if status == "ok" else None
+        if surface is not None and (problem := _impossible(surface, pipeline.design)):
+            status, surface = problem, None
         touch = Touch(
             0.0, 0.0, np.nan, np.nan, False, surface=surface, markers=markers, status=status
         )
@@ -147,6 +151,18 @@ def _reconstruct(
             marker_overlay(image, pipeline.camera, pipeline.design),
         )
     return _row(frame.name, touch.status, touch), touch
+
+
+def _impossible(surface: Surface, design: SensorDesign) -> Status | None:
+    """Return a status for a surface that rubber cannot have; None if it can."""
+    stretch = math.sqrt(surface.area / design.frame.area)
+    if stretch <= _STRETCH_MAX:
+        return None
+    return Status(
+        StatusCode.FIT_FAILED,
+        f"a surface of {1e6 * surface.area:.0f} mm2 would stretch the membrane to "
+        f"{stretch:.2f} times its length; check that sensor {design.name} took the image",
+    )
 
 
 def _stem(name: str) -> str:

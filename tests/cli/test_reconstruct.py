@@ -150,3 +150,12 @@ def test_a_calibration_with_another_sensor_is_refused_with_its_reason(capsys, fr
     assert "REFUSED: sensor paper16: flat reference" in capsys.readouterr().out
     written = load_calibration(out)
     assert written.frame is None and "flat reference" in written.refused["frame"].reasons[0]
+
+
+def test_images_of_another_sensor_have_no_surface(capsys, frames):
+    """16 of the 81 small markers match those of `paper16`, which are larger: they seem far away."""
+    folder, _ = frames
+    result = run_json(capsys, "reconstruct", folder / "press", "--sensor", "paper16")
+    for frame in result["frames"]:
+        assert "would stretch the membrane to 1.6" in frame["status"]
+        assert frame["area_mm2"] is None and frame["volume_mL"] is None
