@@ -1,6 +1,7 @@
 """Learn to grasp from scratch in thousands of worlds: pip install 'mjtactile[learn,warp]'
 
-    python examples/learn_on_a_gpu.py policy.npz 300     # seconds
+    python examples/learn_on_a_gpu.py policy.npz 300                        # seconds
+    python examples/learn_on_a_gpu.py policy.npz 900 lift,pour,shake,bump   # tasks by turns
     MJTACTILE_POLICY=policy.npz mjtactile evaluate --controller policy --objects random
 
 The learner is PPO of rsl-rl-lib, which mjlab and Isaac Lab use, too: it keeps observations, actions
@@ -47,27 +48,33 @@ def save(actor, path):
     save_policy(path, numbers, activation="tanh")
 
 
-def learn(seconds, worlds, device, task=TASK, seed=0):
-    """Return the learned actor, and the number of decisions."""
+def learn(seconds, worlds, device, tasks=("lift",), seed=0, **changed):
+    """Return the learned actor, and the number of decisions. Each task has its own worlds, and the
+    tasks take turns."""
     torch.manual_seed(seed)
-    env = RslRlWorlds(worlds, device, dict(task) if device != "cpu" else task | COARSE)
-    runner = OnPolicyRunner(env, dict(LEARNER), device=device)
+    how = TASK | (COARSE if device == "cpu" else {}) | changed
+    envs = {task: RslRlWorlds(worlds, device, how | {"task": task}) for task in tasks}
+    runner = OnPolicyRunner(envs[tasks[0]], dict(LEARNER), device=device)
     start = reported = time.monotonic()
     decisions = 0
     while time.monotonic() < start + seconds:
-        runner.learn(1)
-        decisions += worlds * LEARNER["num_steps_per_env"]
+        for env in envs.values():
+            runner.env = env
+            runner.learn(1)
+            decisions += worlds * LEARNER["num_steps_per_env"]
         if time.monotonic() > reported + 10:
             reported = time.monotonic()
-            print(f"{reported - start:.0f} s, {decisions} decisions; {env.report()}", flush=True)
-    env.worlds.close()
+            text = "; ".join(f"{task}: {env.report()}" for task, env in envs.items())
+            print(f"{reported - start:.0f} s, {decisions} decisions; {text}", flush=True)
+    for env in envs.values():
+        env.worlds.close()
     return runner.alg.get_policy(), decisions
 
 
-def main(path="policy.npz", seconds="300", worlds="", device=""):
+def main(path="policy.npz", seconds="300", tasks="lift", worlds="", device=""):
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     count = int(worlds or (4096 if device.startswith("cuda") else 64))
-    actor, decisions = learn(float(seconds), count, device)
+    actor, decisions = learn(float(seconds), count, device, tasks.split(","))
     save(actor, path)
     print(f"{decisions} decisions; policy in {path}")
 

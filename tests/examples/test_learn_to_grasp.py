@@ -46,14 +46,14 @@ def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
 
 @pytest.mark.slow(60)
 def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
-    """Two worlds and one update on the CPU; to single precision."""
+    """Two worlds of each of two tasks, and one update by each, on the CPU; to single precision."""
     pytest.importorskip("rsl_rl")
     import torch  # pyright: ignore[reportMissingImports]
 
     example = runpy.run_path(str(CHECKOUT / "examples/learn_on_a_gpu.py"))
     example["LEARNER"]["num_steps_per_env"] = 2
-    actor, decisions = example["learn"](1e-3, 2, "cpu", {**example["TASK"], "object": "egg"})
-    assert decisions == 4
+    actor, decisions = example["learn"](1e-3, 2, "cpu", ["lift", "shake"], object="egg")
+    assert decisions == 8
     example["save"](actor, tmp_path / "policy.npz")
     policy = load_policy(tmp_path / "policy.npz")
     rng = np.random.default_rng(0)
