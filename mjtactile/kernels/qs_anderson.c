@@ -8,8 +8,8 @@
 
 long qs_anderson_size(long all) { return (2 * MEMORY + 2) * all; }
 
-Learnt qs_anderson_in(long all, long places, float **room) {
-    Learnt l = {.all = all, .places = places};
+Anderson qs_anderson_in(long all, long places, float **room) {
+    Anderson l = {.all = all, .places = places};
     l.steps = *room, l.changes = l.steps + MEMORY * all, l.last = l.changes + MEMORY * all, l.now = l.last + all;
     *room = l.now + all;
     return l;
@@ -39,7 +39,7 @@ static void solve_small(long n, double A[MEMORY][MEMORY], double *b) {
     }
 }
 
-static int mix(Learnt *l) {
+static int mix(Anderson *l) {
     double A[MEMORY][MEMORY], fraction[MEMORY];
     for (long a = 0; a < l->known; a++) {
         fraction[a] = dot(l->changes + a * l->all, l->now, l->places);
@@ -55,7 +55,7 @@ static int mix(Learnt *l) {
     return 1;
 }
 
-int qs_anderson_update(Learnt *l, int fresh) {
+int qs_anderson_update(Anderson *l, int fresh) {
     if (fresh) {
         qs_anderson_reset(l);
     } else {

@@ -9,14 +9,14 @@
 typedef struct {
     long all, places, known, newest;
     float *steps, *changes, *last, *now;
-} Learnt;
+} Anderson;
 
 long qs_anderson_size(long all);
-Learnt qs_anderson_in(long all, long places, float **room);
-static inline void qs_anderson_reset(Learnt *l) { l->known = l->newest = 0; }
+Anderson qs_anderson_in(long all, long places, float **room);
+static inline void qs_anderson_reset(Anderson *l) { l->known = l->newest = 0; }
 /* Replace the present step `now` by the step that would have ended in equilibrium if the last steps
    had changed in proportion. It is stored as such; `last` keeps the original. `fresh`: ignore
    previous steps. Returns 1 if both differ. */
-int qs_anderson_update(Learnt *l, int fresh);
+int qs_anderson_update(Anderson *l, int fresh);
 
 #endif

@@ -54,7 +54,7 @@ static long obstacle_under(const Membrane *f, const Bodies *bodies, const double
 }
 
 /* Find the patch of each node in contact, plus one. `line`: padded length of a grid line. */
-static void find_owners(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const double *x,
+static void find_owners(const Membrane *f, const Bodies *bodies, const Scene *s, const ContactNodes *seen, long line, const double *x,
                         const double *force, const Memory *m, const Patch *patches, const int32_t *before, int32_t *owner) {
     long only = -1;
     for (long k = 0; k < s->slots; k++)
@@ -74,8 +74,8 @@ static void find_owners(const Membrane *f, const Bodies *bodies, const Scene *s,
 
 /* Add up the frictionless wrench of each patch, and release those without contact. Returns the
    number of patches in contact. */
-static long find_loads(const Membrane *f, const Seen *seen, long line, const double *x, const double *force, const double *found, long slots,
-                       Patch *patches, int32_t *owner) {
+static long find_loads(const Membrane *f, const ContactNodes *seen, long line, const double *x, const double *force, const double *found,
+                       long slots, Patch *patches, int32_t *owner) {
     long count = 0, last = -1;
     for (long s = 0; s < slots; s++) memset(patches[s].carried, 0, sizeof patches[s].carried);
     for (long k = 0; k < f->count; k++) {
@@ -113,9 +113,9 @@ static double normal_stiffness(const Given *g, const double *found, double fract
     return 2 * PI * found[TENSION] / wide + gas * square(lifted);
 }
 
-int qs_update_patches(const Membrane *f, const Bodies *bodies, const Scene *s, const Seen *seen, long line, const Given *g, const double *x,
-                     const double *force, const double *found, const double *compliance, double *x_before, int32_t *touched, Memory *m,
-                     Patch *patches, double *grip, Held *held, double *shift) {
+int qs_update_patches(const Membrane *f, const Bodies *bodies, const Scene *s, const ContactNodes *seen, long line, const Given *g,
+                      const double *x, const double *force, const double *found, const double *compliance, double *x_before,
+                      int32_t *touched, Memory *m, Patch *patches, double *grip, Held *held, double *shift) {
     int32_t *was = touched + f->count, *owner = was + f->count;
     long differ = 0, count = 0, others = !m->gripped;
     find_owners(f, bodies, s, seen, line, x, force, m, patches, was, owner);

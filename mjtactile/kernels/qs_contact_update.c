@@ -21,11 +21,13 @@
 /* margin around the contact, nodes: for the height correction and for edges next to it */
 #define ROUND_ABOUT 1
 
-long qs_lowest_size(const Membrane *f) { return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + QS_FLOORS * QS_PLANES; }
+long qs_contact_size(const Membrane *f) {
+    return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + QS_FLOORS * QS_PLANES;
+}
 
-Seen qs_lowest_before(const Membrane *f, double **room) {
+ContactNodes qs_last_contact(const Membrane *f, double **room) {
     const long n = f->count;
-    Seen s = {.floors = -1};
+    ContactNodes s = {.floors = -1};
     s.obstacle = qs_take(room, n), s.level = qs_take(room, n), s.slope = qs_take(room, 2 * n), s.lower = qs_take(room, n);
     s.away = qs_take(room, 2 * n), s.edge = qs_take(room, 4 * n), s.spring = qs_take(room, 4 * n);
     s.along_x = qs_take(room, n), s.along_y = qs_take(room, n), s.cell = qs_take(room, n);
@@ -35,9 +37,9 @@ Seen qs_lowest_before(const Membrane *f, double **room) {
     return s;
 }
 
-Seen qs_lowest_in(const Membrane *f, double **room) {
+ContactNodes qs_contact_in(const Membrane *f, double **room) {
     const long n = f->count;
-    Seen s = qs_lowest_before(f, room);
+    ContactNodes s = qs_last_contact(f, room);
     memset(s.slope, 0, 2 * n * sizeof *s.slope), memset(s.along_x, 0, 2 * n * sizeof *s.along_x), memset(s.touching, 0, n);
     return s;
 }
@@ -53,7 +55,7 @@ void qs_unpad(const Membrane *f, long fields, const double *from, double *to) {
 
 /* -- obstacles --------------------------------------------------------------------------------- */
 
-static int any_thin(const Membrane *f, const Bodies *bodies) {
+static int has_thin_obstacle(const Membrane *f, const Bodies *bodies) {
     for (long b = 0; b < bodies->count; b++)
         if (qs_obstacle_at(bodies, b)->min_width < max_of(f->dx, f->dy)) return 1;
     return 0;
@@ -78,8 +80,8 @@ static void reaches_along(const Membrane *f, const Bodies *bodies, double x, dou
    across which it is thin. The end of an obstacle that continues to the next node is an edge.
    Returns the axis along which it was found, 1 or 2, or 0. `taken`: axes along which the previous
    node already has it. `away`: offset of its center, spacings. */
-static int see_between(const Membrane *f, const Bodies *bodies, double x, double y, int taken,
-                       double *height, double slope[2], double *away) {
+static int evaluate_between_nodes(const Membrane *f, const Bodies *bodies, double x, double y, int taken, double *height, double slope[2],
+                                  double *away) {
     int found = 0;
     for (int axis = 0; axis < 2; axis++) {
         if (taken & (1 << axis)) continue;
@@ -103,14 +105,14 @@ static int see_between(const Membrane *f, const Bodies *bodies, double x, double
 }
 
 /* Return 1 if there is only one obstacle and its lower side bends in one direction only. */
-static int is_one_convex(const Bodies *bodies) {
+static int is_single_convex(const Bodies *bodies) {
     if (bodies->count != 1) return 0;
     const int kind = (int)qs_obstacle_at(bodies, 0)->kind;
     return kind != BODY_TRIANGLES && kind != BODY_HEIGHTS;
 }
 
 /* Return 1 if a convex obstacle is a plane that slopes along an axis, across all points that
-   see_ridge samples. This holds if three of them are on a line. */
+   evaluate_ridge samples. This holds if three of them are on a line. */
 static int slopes_evenly(const Membrane *f, const Bodies *bodies, double x, double y, int axis) {
     double at[3], by[2];
     const double wide = (THIN + 2) / (2. * THIN + 1) * (axis ? f->dy : f->dx);
@@ -121,9 +123,8 @@ static int slopes_evenly(const Membrane *f, const Bodies *bodies, double x, doub
 
 /* Find a ridge or a tip that passes through a node's cell next to the node. The membrane meets it
    there, with zero slope across it. Returns the axes. */
-static int see_ridge(const Membrane *f, const Bodies *bodies, double x, double y, int taken,
-                     double *height, double slope[2]) {
-    const int convex = is_one_convex(bodies);
+static int evaluate_ridge(const Membrane *f, const Bodies *bodies, double x, double y, int taken, double *height, double slope[2]) {
+    const int convex = is_single_convex(bodies);
     int found = 0;
     for (int axis = 0; axis < 2; axis++) {
         double low = INFINITY, by[2] = {0, 0}, at;
@@ -141,7 +142,7 @@ static int see_ridge(const Membrane *f, const Bodies *bodies, double x, double y
     return found;
 }
 
-void see_touch(const Membrane *f, const double *force, Seen *seen) {
+void mark_contact(const Membrane *f, const double *force, ContactNodes *seen) {
     long *box = seen->box;
     box[0] = f->columns, box[1] = 0, box[2] = f->rows, box[3] = 0;
     for (long i = 0; i < f->columns; i++)
@@ -168,7 +169,7 @@ static void grow_box(const Membrane *f, const Obstacle *b, long box[4]) {
 
 /* Remove an obstacle that was moved under a node if the next node in its direction has it: this is
    its end. */
-static void drop_ends(const Membrane *f, Seen *seen) {
+static void remove_ends(const Membrane *f, ContactNodes *seen) {
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             const long k = i * f->line + j;
@@ -181,25 +182,25 @@ static void drop_ends(const Membrane *f, Seen *seen) {
         }
 }
 
-static void clear_seen(const Membrane *f, Seen *seen) {
+static void clear_obstacles(const Membrane *f, ContactNodes *seen) {
     memset(seen->edge, 0, f->count * sizeof *seen->edge);
     for (long k = 0; k < f->count; k++) seen->obstacle[k] = seen->level[k] = INFINITY;
 }
 
-void narrow_view(const Membrane *f, const Bodies *bodies, Seen *seen) {
+void limit_to_contact(const Membrane *f, const Bodies *bodies, ContactNodes *seen) {
     const long ends[4] = {0, f->columns, 0, f->rows};
     /* a sharp obstacle is also thin */
-    if (any_thin(f, bodies) || seen->box[0] >= seen->box[1]) return;
+    if (has_thin_obstacle(f, bodies) || seen->box[0] >= seen->box[1]) return;
     for (int k = 0; k < 4; k += 2) {
         seen->box[k] = (long)max_of(seen->box[k] - ROUND_ABOUT, ends[k]);
         seen->box[k + 1] = (long)min_of(seen->box[k + 1] + ROUND_ABOUT, ends[k + 1]);
     }
-    clear_seen(f, seen);
+    clear_obstacles(f, seen);
     seen->narrow = 1;
 }
 
 /* Compute the in-plane positions of the nodes of line `i` in the box. */
-static void place_nodes(const Membrane *f, const double *x, const Seen *seen, long i, double *at_x, double *at_y) {
+static void place_nodes(const Membrane *f, const double *x, const ContactNodes *seen, long i, double *at_x, double *at_y) {
     for (long j = seen->box[2]; j < seen->box[3]; j++) {
         at_x[j] = (double)i * f->dx - f->numbers.length_x / 2 + x[i * f->line + j];
         at_y[j] = (double)j * f->dy - f->numbers.length_y / 2 + x[f->count + i * f->line + j];
@@ -208,13 +209,13 @@ static void place_nodes(const Membrane *f, const double *x, const Seen *seen, lo
 
 /* Mark the nodes at which obstacles are evaluated: nodes in contact, nodes that may soon be, and
    their neighbors, for curvature and edges. */
-static void request_nodes(const Membrane *f, const double *x, Seen *seen) {
+static void request_nodes(const Membrane *f, const double *x, ContactNodes *seen) {
     double at_x[QS_MAX_LINE], at_y[QS_MAX_LINE], floor[QS_MAX_LINE];
     const double *z = x + 2 * f->count;
     memset(seen->requested, 0, f->count);
     for (long i = seen->box[0]; i < seen->box[1]; i++) {
         place_nodes(f, x, seen, i, at_x, at_y);
-        floor_at(seen, seen->box[3] - seen->box[2], at_x + seen->box[2], at_y + seen->box[2], floor + seen->box[2]);
+        lower_bound_at(seen, seen->box[3] - seen->box[2], at_x + seen->box[2], at_y + seen->box[2], floor + seen->box[2]);
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
             if (!seen->touching[i * f->line + j] && floor[j] > z[i * f->line + j] + NEARBY) continue;
             const long from = j > 0 ? j - 1 : 0, to = j < f->rows - 1 ? j + 1 : j;
@@ -225,12 +226,12 @@ static void request_nodes(const Membrane *f, const double *x, Seen *seen) {
 }
 
 /* Compute the heights of all obstacles at the present positions of the nodes. */
-void see_bodies(const Membrane *f, const Bodies *bodies, const double *x, Seen *seen) {
-    const int thin = any_thin(f, bodies);
+void evaluate_obstacles(const Membrane *f, const Bodies *bodies, const double *x, ContactNodes *seen) {
+    const int thin = has_thin_obstacle(f, bodies);
     int sharp = 0;
     for (long b = 0; b < bodies->count; b++) sharp |= qs_obstacle_at(bodies, b)->min_width == 0;
     for (long b = 0; b < bodies->count && !seen->narrow; b++) grow_box(f, qs_obstacle_at(bodies, b), seen->box);
-    if (!seen->narrow) clear_seen(f, seen);
+    if (!seen->narrow) clear_obstacles(f, seen);
     const int all = thin || seen->floors < 0; /* thin obstacles may be between nodes */
     if (!all) request_nodes(f, x, seen);
     for (long i = seen->box[0]; i < seen->box[1]; i++)
@@ -244,9 +245,9 @@ void see_bodies(const Membrane *f, const Bodies *bodies, const double *x, Seen *
             double away = 0;
             const int off_all = lowest(f, bodies, at_x, at_y, seen->obstacle + k, slope);
             const int taken = (i && ((int)seen->edge[k - f->line] & 1)) | (j && ((int)seen->edge[k - 1] & 2)) << 1;
-            if (off_all && thin) axis = see_between(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope, &away);
+            if (off_all && thin) axis = evaluate_between_nodes(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope, &away);
             seen->away[k] = axis == 1 ? away * f->dx : 0, seen->away[f->count + k] = axis == 2 ? away * f->dy : 0;
-            if (!off_all && sharp) axis = see_ridge(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope);
+            if (!off_all && sharp) axis = evaluate_ridge(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope);
             seen->edge[k] = axis;
             seen->slope[k] = slope[0], seen->slope[f->count + k] = slope[1];
             if (isinf(seen->obstacle[k])) {
@@ -255,17 +256,17 @@ void see_bodies(const Membrane *f, const Bodies *bodies, const double *x, Seen *
             }
             seen->level[k] = seen->obstacle[k] - seen->slope[k] * x[k] - seen->slope[f->count + k] * x[f->count + k];
         }
-    if (thin) drop_ends(f, seen);
+    if (thin) remove_ends(f, seen);
 }
 
-static int on_a_body(const Membrane *f, const Bodies *bodies, double x, double y) {
+static int is_over_obstacle(const Membrane *f, const Bodies *bodies, double x, double y) {
     double height, slope[2];
     return !lowest(f, bodies, x, y, &height, slope);
 }
 
 /* Return the inclination of a thin obstacle: its drift across an axis per distance along it,
    spacings per spacing. */
-static double lean_of(const Membrane *f, const Bodies *bodies, const double at[2], int axis) {
+static double inclination_of(const Membrane *f, const Bodies *bodies, const double at[2], int axis) {
     const double spacing[2] = {f->dx, f->dy};
     double lean = 0, ends = 0;
     int across[2];
@@ -276,7 +277,7 @@ static double lean_of(const Membrane *f, const Bodies *bodies, const double at[2
         place[axis] = at[axis] + side * LEAN_OVER * spacing[axis];
         for (int part = -THIN; part <= THIN; part++) {
             place[!axis] = at[!axis] + part * spacing[!axis] / (2 * THIN + 1);
-            if (on_a_body(f, bodies, place[0], place[1])) sum += part / (2. * THIN + 1), hits += 1;
+            if (is_over_obstacle(f, bodies, place[0], place[1])) sum += part / (2. * THIN + 1), hits += 1;
         }
         if (hits > 0) lean += side * sum / hits / LEAN_OVER, ends += 1;
     }
@@ -285,24 +286,24 @@ static double lean_of(const Membrane *f, const Bodies *bodies, const double at[2
 
 /* Find the edges of obstacles between a node on an obstacle and its neighbors at +x, -x, +y and -y
    that are not: the fraction of the distance. It is negative if both are on an obstacle. */
-void find_edges(const Membrane *f, const Bodies *bodies, const double *x, long k, int halves, Seen *seen) {
+void find_edges(const Membrane *f, const Bodies *bodies, const double *x, long k, int halves, ContactNodes *seen) {
     const long count = f->count, i = k / f->line, j = k % f->line;
     const double at[2] = {i * f->dx - f->numbers.length_x / 2 + x[k] + seen->away[k],
                           j * f->dy - f->numbers.length_y / 2 + x[count + k] + seen->away[count + k]};
-    const int thin = any_thin(f, bodies);
+    const int thin = has_thin_obstacle(f, bodies);
     for (int side = 0; side < 4; side++) {
         const long other = k + qs_next(f, side);
         seen->edge[side * count + k] = -1;
-        if (isfinite(seen->obstacle[other]) || !on_a_body(f, bodies, at[0], at[1])) continue;
+        if (isfinite(seen->obstacle[other]) || !is_over_obstacle(f, bodies, at[0], at[1])) continue;
         double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
                                side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
-        if (thin) way[side < 2] += lean_of(f, bodies, at, side >= 2) * (side % 2 ? -1 : 1) * (side < 2 ? f->dy : f->dx);
+        if (thin) way[side < 2] += inclination_of(f, bodies, at, side >= 2) * (side % 2 ? -1 : 1) * (side < 2 ? f->dy : f->dx);
         /* the obstacle continues under the next line of nodes */
-        if (thin && on_a_body(f, bodies, at[0] + way[0], at[1] + way[1])) continue;
+        if (thin && is_over_obstacle(f, bodies, at[0] + way[0], at[1] + way[1])) continue;
         double low = 0, high = 1;
         for (int half = 0; half < halves; half++) {
             const double middle = (low + high) / 2;
-            if (on_a_body(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
+            if (is_over_obstacle(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
             else high = middle;
         }
         seen->edge[side * count + k] = low;
@@ -314,7 +315,7 @@ void find_edges(const Membrane *f, const Bodies *bodies, const double *x, long k
     }
 }
 
-double rises_over_edge(const Membrane *f, const Seen *seen, const double *z, long k, int side) {
+double height_over_edge(const Membrane *f, const ContactNodes *seen, const double *z, long k, int side) {
     const double along = side < 2 ? seen->slope[k] * f->dx : seen->slope[f->count + k] * f->dy;
     return z[k + qs_next(f, side)] - z[k] - (side % 2 ? -along : along);
 }
@@ -322,7 +323,7 @@ double rises_over_edge(const Membrane *f, const Seen *seen, const double *z, lon
 /* Compute the edge springs. The membrane bends over an edge a fraction s of the spacing beyond the
    last node on the obstacle. It rises to the next node over the remaining 1 - s and pulls more by
    that ratio. The spring acts in addition to the membrane. */
-double find_springs(const Membrane *f, const double *z, Seen *seen) {
+double find_springs(const Membrane *f, const double *z, ContactNodes *seen) {
     double which = 0;
     memset(seen->spring, 0, 4 * f->count * sizeof *seen->spring);
     for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++) {
@@ -331,7 +332,7 @@ double find_springs(const Membrane *f, const double *z, Seen *seen) {
         for (int side = 0; side < 4; side++) {
             const double fraction = min_of(seen->edge[side * f->count + k], NEAREST_EDGE);
             /* the membrane leaves the face before the edge */
-            if (fraction <= 0 || rises_over_edge(f, seen, z, k, side) <= 0) continue;
+            if (fraction <= 0 || height_over_edge(f, seen, z, k, side) <= 0) continue;
             seen->spring[side * f->count + k] = max_of(links[side], 0) * fraction / (1 - fraction);
             which += 4. * k + side;
         }
@@ -341,7 +342,7 @@ double find_springs(const Membrane *f, const double *z, Seen *seen) {
 
 /* Compute the obstacle heights from the last slopes. `level` is a height minus the contribution of
    its slopes. */
-void follow_bodies(const Membrane *f, const double *x, Seen *seen) {
+void extrapolate_obstacles(const Membrane *f, const double *x, ContactNodes *seen) {
     for (long k = seen->box[0] * f->line; k < seen->box[1] * f->line; k++)
         seen->obstacle[k] = seen->level[k] + seen->slope[k] * x[k] + seen->slope[f->count + k] * x[f->count + k];
 }
@@ -349,7 +350,7 @@ void follow_bodies(const Membrane *f, const double *x, Seen *seen) {
 /* Compute the height correction for round obstacles. A membrane that bends only at its nodes is
    held off a round obstacle, and the excess is subtracted. Next to an obstacle's end, its curvature
    is unknown. */
-void lower_round_bodies(const Membrane *f, Seen *seen) {
+void correct_round_obstacles(const Membrane *f, ContactNodes *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;
     memset(seen->lower, 0, f->count * sizeof *seen->lower);
@@ -370,7 +371,7 @@ static int is_rim(const Membrane *f, long i, long j) {
     return f->inside ? f->inside[i * f->rows + j] == 0 : i == 0 || j == 0 || i == f->columns - 1 || j == f->rows - 1;
 }
 
-int against_the_frame(const Membrane *f, const Settings *set, const Seen *seen) {
+int check_rim_contact(const Membrane *f, const Settings *set, const ContactNodes *seen) {
     const double *h = seen->obstacle;
     for (long i = seen->box[0]; i < seen->box[1]; i++)
         for (long j = seen->box[2]; j < seen->box[3]; j++) {
@@ -381,7 +382,7 @@ int against_the_frame(const Membrane *f, const Settings *set, const Seen *seen) 
     return CONVERGED;
 }
 
-void gas_of(const Membrane *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
+void evaluate_gas(const Membrane *f, const Settings *set, double bulge, double *pressure, double *stiffness) {
     *pressure = set->gas, *stiffness = 0;
     if (!set->sealed) return;
     const double volume = f->numbers.chamber_flat + bulge, absolute = set->gas / pow(volume, f->numbers.polytropic_exponent);
@@ -390,8 +391,7 @@ void gas_of(const Membrane *f, const Settings *set, double bulge, double *pressu
 
 /* Compute the wrench about the origin of S and the contact area. Each node contributes its cell
    times the ratio of its force to the force of full contact. */
-void add_up(const Membrane *f, const double *x, const double *force,
-                   double *found, const Seen *seen) {
+void sum_contact(const Membrane *f, const double *x, const double *force, double *found, const ContactNodes *seen) {
     const double *h = seen->obstacle;
     const long rows = f->line;
     for (int k = FORCE_X; k <= TORQUE_Z; k++) found[k] = 0;

@@ -96,7 +96,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
                 p->known = 1, further[k] = 0;
             }
             const Bodies bodies = {geoms, body, pool, 0};
-            const Seen seen = qs_lowest_before(&padded, &room);
+            const ContactNodes seen = qs_last_contact(&padded, &room);
             if (qs_update_patches(&f, &bodies, &s, &seen, padded.line, g, x, force, found, compliance, before, touched, m, patches, grip, &held, shift))
                 return free(own), NO_MEMORY;
         } else {
@@ -120,7 +120,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
         for (int i = 0; i < 2; i++) along[3 * k + i] = moved[6 * k + i] - shift[2 * k + i];
         along[3 * k + 2] = moved[6 * k + 5];
     }
-    const double slip = qs_stick(&f, g, compliance, x, force, slots, pressed, along, &held, patches);
+    const double slip = qs_apply_friction(&f, g, compliance, x, force, slots, pressed, along, &held, patches);
     if (slip < 0) return free(own), NO_MEMORY;
     m->slid += slip;
     for (long k = 0; k < slots; k++) {

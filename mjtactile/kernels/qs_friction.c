@@ -163,8 +163,8 @@ static void add_loads(const Membrane *f, const double *x, long count, Node *node
     }
 }
 
-double qs_stick(const Membrane *f, const Given *g, const double *compliance, const double *x, const double *force, long slots,
-                    const double *pressed, const double *along, Held *h, Patch *patches) {
+double qs_apply_friction(const Membrane *f, const Given *g, const double *compliance, const double *x, const double *force, long slots,
+                         const double *pressed, const double *along, Held *h, Patch *patches) {
     double total = 0, mean[2] = {0};
     long count = 0;
     for (long s = 0; s < slots; s++)

@@ -91,7 +91,7 @@ int qs_find_grip(const Membrane *f, const double *x, const double *compliance, l
    the forces `pressed` (slots). Return the sliding distance, m, of the mean of the patches weighted by
    force: parts of a soft body that are pressed apart slide in opposite directions. Returns -1 if
    memory runs out. */
-double qs_stick(const Membrane *f, const Given *g, const double *compliance, const double *x, const double *force, long slots,
-                    const double *pressed, const double *along, Held *h, Patch *patches);
+double qs_apply_friction(const Membrane *f, const Given *g, const double *compliance, const double *x, const double *force, long slots,
+                         const double *pressed, const double *along, Held *h, Patch *patches);
 
 #endif

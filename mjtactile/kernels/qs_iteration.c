@@ -18,7 +18,7 @@
 #define MAX_DRAG 2.0       /* maximum shear per normal force */
 #define FINE 1e-8          /* tolerance below which double precision is used, m */
 
-static long doubles_of(const Membrane *f) { return qs_lowest_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
+static long doubles_of(const Membrane *f) { return qs_contact_size(f) + (3 + 1 + 3 + 3) * f->count + 8; }
 
 static long floats_of(const Membrane *f) {
     return (3 + 3 + 1 + 1 + 3 + 1 + 1 + 1 + 1 + 2 + 4) * f->count + qs_inplane_workspace_size(f) + qs_normal_workspace_size(f) +
@@ -46,7 +46,7 @@ static float *take_floats(float **from, long n) {
 Work qs_work_in(const Membrane *f, const RestHeights *rest, const float *plane_factor, double *room) {
     const long n = f->count;
     Work w = {.plane_factor = plane_factor};
-    w.seen = qs_lowest_in(f, &room);
+    w.seen = qs_contact_in(f, &room);
     w.x = qs_take(&room, 3 * n + 8), w.force = qs_take(&room, n);
     memset(w.x, 0, (3 * n + 8) * sizeof *w.x);
     w.fine.elastic = qs_take(&room, 3 * n), w.fine.gradient = qs_take(&room, 3 * n);
@@ -77,7 +77,7 @@ void update_membrane(const Membrane *f, const Settings *set, int parts, Work *w)
     if (parts == QS_HEIGHTS) memset(w->seen.along_x, 0, n * sizeof(double)), memset(w->seen.along_y, 0, n * sizeof(double));
     if (fine) w->sums = qs_elastic(f, w->x, QS_ALL, first, last, &w->fine);
     else w->sums = qs_elasticFloat(f, w->x, parts, first, last, &w->fast);
-    gas_of(f, set, w->sums.volume, &w->pressure, &w->gas_stiffness);
+    evaluate_gas(f, set, w->sums.volume, &w->pressure, &w->gas_stiffness);
     if (fine) {
         for (long k = from; k < to; k++) w->residual[k] = (float)(w->fine.elastic[k] - w->pressure * w->fine.gradient[k]);
     } else {
@@ -96,13 +96,13 @@ void update_membrane(const Membrane *f, const Settings *set, int parts, Work *w)
 
 void update_obstacles(const Membrane *f, const Bodies *bodies, double lifted, int step, Work *w) {
     if (step < CHECKS) {
-        see_bodies(f, bodies, w->x, &w->seen);
+        evaluate_obstacles(f, bodies, w->x, &w->seen);
         for (long k = w->seen.box[0] * f->line; k < w->seen.box[1] * f->line; k++)
             if (w->seen.touching[k]) find_edges(f, bodies, w->x, k, EDGE_HALVES, &w->seen);
     } else {
-        follow_bodies(f, w->x, &w->seen);
+        extrapolate_obstacles(f, w->x, &w->seen);
     }
-    lower_round_bodies(f, &w->seen);
+    correct_round_obstacles(f, &w->seen);
     if (lifted != 0)
         for (long k = 0; k < f->count; k++) w->seen.obstacle[k] += lifted;
 }
@@ -128,7 +128,7 @@ int widen_window(const Membrane *f, double near, Work *w) {
 static int is_free(const Membrane *f, long node) { return qs_free(f, node / f->line, node % f->line); }
 
 void stiffen_edges(const Membrane *f, const double *z, double by, Work *w) {
-    const Seen *s = &w->seen;
+    const ContactNodes *s = &w->seen;
     float *residual = w->residual + 2 * f->count;
     for (long k = s->box[0] * f->line; k < s->box[1] * f->line; k++) {
         if (!s->touching[k]) continue;
@@ -136,7 +136,7 @@ void stiffen_edges(const Membrane *f, const double *z, double by, Work *w) {
         for (int side = 0; side < 4; side++) {
             const double spring = by * s->spring[side * f->count + k];
             if (spring == 0) continue;
-            const float force = (float)(-spring * rises_over_edge(f, s, z, k, side));
+            const float force = (float)(-spring * height_over_edge(f, s, z, k, side));
             *links[side] += spring;
             residual[k] += force;
             if (is_free(f, k + qs_next(f, side))) residual[k + qs_next(f, side)] -= force;
@@ -197,7 +197,7 @@ double largest_of(const float *values, long n) {
 static int decide_contact(const Membrane *f, const Bodies *bodies, double loose, int after_step, int may_release, Work *w) {
     const double *z = w->x + 2 * f->count;
     const double released = -loose * RELEASED * f->dx * f->dy, attached = loose * ATTACHED;
-    Seen *s = &w->seen;
+    ContactNodes *s = &w->seen;
     int changed = 0;
     for (long i = max_of(s->box[0], 1); i < min_of(s->box[1], f->columns - 1); i++)
         for (long k = i * f->line + s->box[2]; k < i * f->line + s->box[3]; k++) {

@@ -10,7 +10,7 @@
    the obstacles. */
 static int start_response(const Membrane *f, const Settings *set, const Bodies *bodies, Work *w) {
     const double *z = w->x + 2 * f->count;
-    see_touch(f, w->force, &w->seen), narrow_view(f, bodies, &w->seen);
+    mark_contact(f, w->force, &w->seen), limit_to_contact(f, bodies, &w->seen);
     w->heights.first = f->lopsided ? 0 : f->columns, w->heights.last = f->lopsided ? f->columns - 1 : -1;
     update_obstacles(f, bodies, 0, 0, w), widen_window(f, 0, w);
     update_membrane(f, set, QS_HEIGHTS, w);
@@ -31,7 +31,7 @@ int64_t qs_approximate_sensitivities(const double *numbers, const double *law, i
     const RestHeights at_rest = qs_heights_at(&f, (float *)kept);
     const Bodies base = {bodies, body, pool, 0};
     Work w = qs_work_in(&f, &at_rest, kept + qs_normal_size(&f), room);
-    Seen *s = &w.seen;
+    ContactNodes *s = &w.seen;
     qs_pad(&f, 3, x, w.x), qs_pad(&f, 1, force, w.force);
     if (start_response(&f, (const Settings *)settings, &base, &w)) return NOT_DEFINITE;
     const double *z = w.x + 2 * n;

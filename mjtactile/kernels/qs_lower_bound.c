@@ -39,7 +39,7 @@ static void planes_below(const Membrane *f, const Obstacle *b, const double *poo
     }
 }
 
-void find_floors(const Membrane *f, const Bodies *bodies, Seen *seen) {
+void find_lower_bounds(const Membrane *f, const Bodies *bodies, ContactNodes *seen) {
     const long *box = seen->box;
     const int touches = box[0] < box[1];
     const double middle[2] = {touches ? (double)(box[0] + box[1] - 1) / 2 * f->dx - f->numbers.length_x / 2 : 0,
@@ -49,7 +49,7 @@ void find_floors(const Membrane *f, const Bodies *bodies, Seen *seen) {
         planes_below(f, qs_obstacle_at(bodies, b), bodies->pool, middle, seen->planes + b * QS_PLANES);
 }
 
-void floor_at(const Seen *seen, long count, const double *x, const double *y, double *floor) {
+void lower_bound_at(const ContactNodes *seen, long count, const double *x, const double *y, double *floor) {
     for (long k = 0; k < count; k++) floor[k] = seen->floors < 0 ? -INFINITY : INFINITY;
     for (long b = 0; b < seen->floors; b++) {
         const double *p = seen->planes + b * QS_PLANES;

@@ -46,7 +46,7 @@ static int is_free(const Membrane *f, const uint8_t *touching, long i, long j) {
     return qs_free(f, i, j) && !touching[i * f->line + j];
 }
 
-static void put_line(const Membrane *f, const double *z, const Seen *seen, long i, Shares fraction, int last, float *block) {
+static void put_line(const Membrane *f, const double *z, const ContactNodes *seen, long i, Shares fraction, int last, float *block) {
     const long line = f->line, height = height_of(f);
     memset(block, 0, line * height * sizeof *block);
     for (long j = 0; j < line; j++) {
@@ -68,7 +68,7 @@ int qs_normal_remainder(const Membrane *f, const double *x, const MembraneFields
     const double *z = x + 2 * f->count;
     uint8_t no_contact[f->count];
     memset(no_contact, 0, f->count);
-    const Seen seen = {.along_x = fields->along_x, .along_y = fields->along_y, .touching = no_contact};
+    const ContactNodes seen = {.along_x = fields->along_x, .along_y = fields->along_y, .touching = no_contact};
     memset(fields->along_x, 0, f->count * sizeof *fields->along_x), memset(fields->along_y, 0, f->count * sizeof *fields->along_y);
     *rest->tension = (float)qs_elastic(f, x, QS_ALL, 0, f->columns - 1, fields).tension;
     for (long i = 0; i < f->columns; i++) put_line(f, z, &seen, i, (Shares){1, 1, 1}, i == f->columns - 1, rest->factor + i * line * height);
@@ -90,7 +90,7 @@ int qs_normal_remainder(const Membrane *f, const double *x, const MembraneFields
     return 0;
 }
 
-int qs_normal_factor(const Membrane *f, const double *z, const Seen *seen, Heights *h) {
+int qs_normal_factor(const Membrane *f, const double *z, const ContactNodes *seen, Heights *h) {
     const long line = f->line, height = height_of(f), first = h->first, last = h->last;
     const int at_left = first > 0, at_right = last < f->columns - 1;
     h->scale = h->scale > MIN_SCALE ? h->scale : MIN_SCALE;
@@ -149,7 +149,8 @@ void qs_normal_solve(const Membrane *f, int many, Heights *h) {
     for (long i = last + 1; i < f->columns; i++) turn_line(f, h, many, i, 1, 0);
 }
 
-void qs_normal_times(const Membrane *f, const double *z, const Seen *seen, const Heights *h, int touching, const float *what, float *out) {
+void qs_normal_times(const Membrane *f, const double *z, const ContactNodes *seen, const Heights *h, int touching, const float *what,
+                     float *out) {
     const long line = f->line;
     for (long i = max_of(h->first, 1); i <= min_of(h->last, f->columns - 2); i++)
         for (long k = i * line + 1; k < i * line + f->rows - 1; k++) {

@@ -16,7 +16,7 @@ RestHeights qs_heights_at(const Membrane *membrane, float *kept);
    positive definite. */
 int qs_normal_remainder(const Membrane *membrane, const double *x, const MembraneFields *fields, RestHeights *rest);
 
-/* Window: lines `first` to `last`, between which links in `along_x` and `along_y` of Seen apply.
+/* Window: lines `first` to `last`, between which links in `along_x` and `along_y` of ContactNodes apply.
    `scale`: tension over that without contact. `solved` (3, apart): right-hand sides over all nodes,
    then the solutions; `mirrored` has the same size. */
 typedef struct {
@@ -27,12 +27,12 @@ typedef struct {
 
 long qs_normal_workspace_size(const Membrane *membrane);
 Heights qs_normal_in(const Membrane *membrane, const RestHeights *rest, float **room);
-int qs_normal_factor(const Membrane *membrane, const double *z, const Seen *seen, Heights *heights);
+int qs_normal_factor(const Membrane *membrane, const double *z, const ContactNodes *seen, Heights *heights);
 /* Solve for 1 or 3 right-hand sides, which are zero at fixed nodes. */
 void qs_normal_solve(const Membrane *membrane, int many, Heights *heights);
 /* Multiply the stiffness by `what` on lines of the window, for nodes in contact (`touching` 1) or
    all others (0). */
-void qs_normal_times(const Membrane *membrane, const double *z, const Seen *seen, const Heights *heights, int touching, const float *what,
-                        float *out);
+void qs_normal_times(const Membrane *membrane, const double *z, const ContactNodes *seen, const Heights *heights, int touching,
+                     const float *what, float *out);
 
 #endif

@@ -59,7 +59,7 @@ static int ball(const double *middle, double radius, const Line *line, double *t
 }
 
 /* Intersect a line with the side of a cylinder about the obstacle's z, up to |z| <= half. */
-static int side(double radius, double half, const Line *line, double *t, double *n) {
+static int intersect_side(double radius, double half, const Line *line, double *t, double *n) {
     const double *o = line->from, *d = line->along;
     if (first_root(d[0] * d[0] + d[1] * d[1], o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - radius * radius, t)) return 1;
     double z = o[2] + *t * d[2];
@@ -70,7 +70,7 @@ static int side(double radius, double half, const Line *line, double *t, double 
 
 static int capsule(const Obstacle *b, double out, const Line *line, double *t, double *n) {
     double radius = b->sizes[0] + out, half = b->sizes[1];
-    if (!side(radius, half, line, t, n)) return 0;
+    if (!intersect_side(radius, half, line, t, n)) return 0;
     double found = INFINITY;
     for (int end = -1; end <= 1; end += 2) {
         const double middle[3] = {0, 0, end * half};
@@ -95,7 +95,7 @@ static int ellipsoid(const Obstacle *b, const Line *line, double *t, double *n) 
 
 /* Intersect a line with the end of a solid of revolution: a disc of `radius` at `z`, whose outside
    is towards `sign`. */
-static int end_disc(double z, double sign, double radius, const Line *line, double *t, double *n) {
+static int intersect_end(double z, double sign, double radius, const Line *line, double *t, double *n) {
     if (fabs(line->along[2]) < 1e-12) return 1;
     *t = (z - line->from[2]) / line->along[2];
     double x = line->from[0] + *t * line->along[0], y = line->from[1] + *t * line->along[1];
@@ -103,7 +103,7 @@ static int end_disc(double z, double sign, double radius, const Line *line, doub
     return x * x + y * y > radius * radius;
 }
 
-static void keep_lower(double t_new, const double *n_new, double *t, double *n) {
+static void keep_lower_root(double t_new, const double *n_new, double *t, double *n) {
     if (t_new >= *t) return;
     *t = t_new;
     for (int k = 0; k < 3; k++) n[k] = n_new[k];
@@ -111,9 +111,9 @@ static void keep_lower(double t_new, const double *n_new, double *t, double *n) 
 
 static int cylinder(const Obstacle *b, const Line *line, double *t, double *n) {
     double found = INFINITY, t_part, n_part[3];
-    if (!side(b->sizes[0], b->sizes[1], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
+    if (!intersect_side(b->sizes[0], b->sizes[1], line, &t_part, n_part)) keep_lower_root(t_part, n_part, &found, n);
     for (int end = -1; end <= 1; end += 2)
-        if (!end_disc(end * b->sizes[1], end, b->sizes[0], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
+        if (!intersect_end(end * b->sizes[1], end, b->sizes[0], line, &t_part, n_part)) keep_lower_root(t_part, n_part, &found, n);
     *t = found;
     return isinf(found);
 }
@@ -133,9 +133,9 @@ static int cone(const Obstacle *b, const Line *line, double *t, double *n) {
             if (!(z >= -TIP && z <= b->sizes[1])) continue; /* rounding puts a tip on either side */
             n_part[0] = o[0] + t_part * d[0], n_part[1] = o[1] + t_part * d[1], n_part[2] = -w2 * z;
             if (z < TIP) n_part[2] = -1;
-            keep_lower(t_part, n_part, &found, n);
+            keep_lower_root(t_part, n_part, &found, n);
         }
-    if (!end_disc(b->sizes[1], 1, b->sizes[0], line, &t_part, n_part)) keep_lower(t_part, n_part, &found, n);
+    if (!intersect_end(b->sizes[1], 1, b->sizes[0], line, &t_part, n_part)) keep_lower_root(t_part, n_part, &found, n);
     *t = found;
     return isinf(found);
 }
@@ -240,7 +240,7 @@ static int triangles(const double *corners, long count, const Line *line, double
         const double way = -dot3(normal, from) / towards;
         if (towards > 0)
             for (int k = 0; k < 3; k++) normal[k] = -normal[k];
-        keep_lower(way, normal, &found, n);
+        keep_lower_root(way, normal, &found, n);
     }
     *t = found;
     return isinf(found);
@@ -265,7 +265,7 @@ static int heights(const Membrane *membrane, const double *field, double x, doub
 
 /* Return the slope beyond which an obstacle counts as ended: at a flank that a membrane meets only
    at its edge, and at a rim whose radius is below the spacing. */
-static double steepest_of(const Membrane *membrane, const Obstacle *b) {
+static double max_slope_of(const Membrane *membrane, const Obstacle *b) {
     switch ((int)b->kind) {
     case BODY_DISC: return b->sizes[2] < max_of(membrane->dx, membrane->dy) ? SHARP : INFINITY;
     case BODY_BOX: case BODY_CYLINDER: return FLANK;
@@ -301,7 +301,7 @@ int qs_obstacle_height(const Membrane *membrane, const Obstacle *b, const double
         return missed;
     }
     if (missed || slopes_of(b, n, slope)) return 1;
-    if (square(slope[0]) + square(slope[1]) > square(steepest_of(membrane, b))) return 1;
+    if (square(slope[0]) + square(slope[1]) > square(max_slope_of(membrane, b))) return 1;
     *height = exact ? t : t - out * qs_farther_along_z(slope);
     return 0;
 }

@@ -22,7 +22,7 @@
 #define BOUNDS 7
 
 /* Replace a number; return 1 if it changes. */
-static int put(double value, double *where) {
+static int replace_number(double value, double *where) {
     const int changes = *where != value;
     *where = value;
     return changes;
@@ -45,11 +45,11 @@ int qs_place_obstacles(const Scene *s, double *rows, Memory *m, Patch *patches) 
             is_near = top > -s->depth;
         }
         if (!is_near) {
-            for (int i = 0; i < 3; i++) moved |= put(AWAY, row + 13 + i);
+            for (int i = 0; i < 3; i++) moved |= replace_number(AWAY, row + 13 + i);
             continue;
         }
-        for (int i = 0; i < 9; i++) moved |= put(turned[i], row + 4 + i);
-        for (int i = 0; i < 3; i++) moved |= put(at[i], row + 13 + i);
+        for (int i = 0; i < 9; i++) moved |= replace_number(turned[i], row + 4 + i);
+        for (int i = 0; i < 3; i++) moved |= replace_number(at[i], row + 13 + i);
         Patch *own = patches + s->slot[k];
         if (!own->near) own->near = 1, m->near += 1;
     }
@@ -79,7 +79,7 @@ int qs_is_clear(const Membrane *f, const double *x, long geoms, const double *bo
 
 /* Attempt a solution with the obstacles raised by `lift`, m; of what is `touching`, some must stay in
    contact. On failure the state is kept. Returns the status, or a negative error. */
-static int64_t attempt(const Solution *c, const double *settings, double lift, int touching, long nodes, double *keep) {
+static int64_t attempt_solution(const Solution *c, const double *settings, double lift, int touching, long nodes, double *keep) {
     double *kept_force = keep + 3 * nodes, kept_found[FOUND];
     memcpy(keep, c->x, 3 * nodes * sizeof *keep), memcpy(kept_force, c->force, nodes * sizeof *keep);
     memcpy(kept_found, c->found, sizeof kept_found);
@@ -101,7 +101,7 @@ int64_t qs_solve_scene(const Solution *c, const Scene *s, const double *settings
     m->solved = 1;
     if (m->pause > 0) return m->pause -= 1, m->lost += 1, 0;
     if (m->lift == 0 || (long)m->lost % EASE == 0) {
-        status = attempt(c, settings, 0, 0, nodes, keep);
+        status = attempt_solution(c, settings, 0, 0, nodes, keep);
         if (status < 0) return status;
         m->status = (double)status;
         if (status == CONVERGED) return m->lost = 0, m->lift = 0, 1;
@@ -114,7 +114,7 @@ int64_t qs_solve_scene(const Solution *c, const Scene *s, const double *settings
     for (int k = 0; k < DOUBLINGS; k++, lift *= 2) {
         qs_place_obstacles(s, c->body, m, patches);
         ((Settings *)once)->again = k % 3 == 2; /* from rest, in small steps: slower, but surer */
-        if ((status = attempt(c, once, lift, m->touching > 0, nodes, keep)) < 0) return status;
+        if ((status = attempt_solution(c, once, lift, m->touching > 0, nodes, keep)) < 0) return status;
         if (status == CONVERGED) return m->lift = lift, 1;
     }
     m->lift = FIRST_LIFT, m->pause = PAUSE;

@@ -31,10 +31,10 @@ int64_t qs_sensitivities_size(const double *numbers) {
    distance of nodes in contact from their obstacle. Returns the force on nodes without an
    obstacle. */
 static double obstacle_effects(const Membrane *f, const Bodies *bodies, const double *x, const double *force, Tangent *t, double *out) {
-    Seen *w = &t->seen;
+    ContactNodes *w = &t->seen;
     const long count = f->count;
     double missed = 0;
-    see_bodies(f, bodies, x, w);
+    evaluate_obstacles(f, bodies, x, w);
     for (long k = w->box[0] * f->line; k < w->box[1] * f->line; k++) {
         if (!w->touching[k]) continue;
         find_edges(f, bodies, x, k, FINE_HALVES, w);
@@ -42,7 +42,7 @@ static double obstacle_effects(const Membrane *f, const Bodies *bodies, const do
         missed += force[k];
         w->obstacle[k] = t->obstacle[k], w->slope[k] = t->slope[k], w->slope[count + k] = t->slope[count + k];
     }
-    lower_round_bodies(f, w);
+    correct_round_obstacles(f, w);
     find_springs(f, x + 2 * count, w);
     const long from = first_line(f, w) * f->line, to = behind_lines(f, w) * f->line;
     for (int c = 0; c < 4 && from < to; c++) memset(out + c * count + from, 0, (to - from) * sizeof *out);
@@ -52,7 +52,7 @@ static double obstacle_effects(const Membrane *f, const Bodies *bodies, const do
         out[3 * count + k] = x[2 * count + k] - w->obstacle[k] + w->lower[k];
         for (int side = 0; side < 4; side++) {
             if (w->spring[side * count + k] == 0) continue;
-            const double pull = w->spring[side * count + k] * rises_over_edge(f, w, x + 2 * count, k, side);
+            const double pull = w->spring[side * count + k] * height_over_edge(f, w, x + 2 * count, k, side);
             out[2 * count + k] -= pull, out[2 * count + k + qs_next(f, side)] += pull;
         }
     }
@@ -173,7 +173,7 @@ static double cell_of(const Membrane *f, const double *x, long k) {
 static void find_sums(const Membrane *f, const double *x, const double *force, Tangent *t, double *found) {
     for (long k = t->seen.box[0] * f->line; k < t->seen.box[1] * f->line; k++)
         if (t->seen.touching[k]) t->seen.cell[k] = cell_of(f, x, k);
-    add_up(f, x, force, found, &t->seen);
+    sum_contact(f, x, force, found, &t->seen);
 }
 
 /* Compute the derivatives of these sums by lane `lane` of the result, given the change of the
@@ -207,11 +207,11 @@ static void write_lanes(const Membrane *f, const Eight *found, long many, double
    Returns the number of sweeps, or 0 if the membrane is not in equilibrium on these obstacles. */
 static int linearize_at(const Membrane *f, const Settings *set, const Bodies *bodies, const double *x, const double *force, Tangent *t) {
     const long count = f->count;
-    see_touch(f, force, &t->seen), narrow_view(f, bodies, &t->seen);
+    mark_contact(f, force, &t->seen), limit_to_contact(f, bodies, &t->seen);
     memcpy(t->x, x, (3 * count + LANES) * sizeof *x), memcpy(t->force, force, count * sizeof *force);
     const MembraneSums sums = qs_elastic(f, x, QS_ALL, 0, f->columns - 1, &t->fields);
     t->tension = sums.tension;
-    gas_of(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
+    evaluate_gas(f, set, sums.volume, &t->pressure, &t->gas_stiffness);
     /* default for nodes in contact exactly at the edge of their obstacle */
     memcpy(t->obstacle, x + 2 * count, count * sizeof *t->obstacle);
     if (is_inconsistent(f, x, force, obstacle_effects(f, bodies, x, force, t, t->base), t)) return 0;

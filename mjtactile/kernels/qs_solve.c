@@ -39,7 +39,7 @@
    the ratio that fits the motion of the obstacles in contact. */
 static void extrapolate(const Membrane *f, const double *trend, Work *w) {
     const long n = f->count, nodes = f->columns * f->rows;
-    const Seen *s = &w->seen;
+    const ContactNodes *s = &w->seen;
     double along = 0, trends = 0, gaps = 0;
     for (long i = s->box[0]; i < s->box[1]; i++)
         for (long j = s->box[2]; j < s->box[3]; j++) {
@@ -58,7 +58,7 @@ static void extrapolate(const Membrane *f, const double *trend, Work *w) {
             const long k = i * f->line + j;
             w->force[k] = s->touching[k] ? max_of(w->force[k] + fraction * trend[3 * nodes + i * f->rows + j], 0) : 0;
         }
-    follow_bodies(f, w->x, &w->seen);
+    extrapolate_obstacles(f, w->x, &w->seen);
 }
 
 /* Write padded fields in Python's layout, and their change into `change`. */
@@ -96,15 +96,15 @@ static int iterate_to_equilibrium(const Membrane *f, const Settings *set, const 
     const long n = f->count;
     double last_before = FIRST_STEP, lift;
     int far = 0;
-    Learnt *l = &w->learnt;
+    Anderson *l = &w->learnt;
     qs_anderson_reset(l);
     /* a second attempt uses all lines; a window requires symmetry under half a turn */
     const int narrow = trend && !f->lopsided;
     w->heights.first = narrow ? f->columns : 0, w->heights.last = narrow ? -1 : f->columns - 1;
-    see_touch(f, w->force, &w->seen), find_floors(f, bodies, &w->seen);
+    mark_contact(f, w->force, &w->seen), find_lower_bounds(f, bodies, &w->seen);
     for (int step = 0; step < (int)set->max_steps; step++) {
         update_obstacles(f, bodies, lifted, step, w);
-        const int misplaced = step ? CONVERGED : against_the_frame(f, set, &w->seen);
+        const int misplaced = step ? CONVERGED : check_rim_contact(f, set, &w->seen);
         if (misplaced) return misplaced;
         if (!step && trend) extrapolate(f, trend, w);
         /* the window of a first step has no factor yet, even if it is complete and nothing is in
@@ -136,7 +136,7 @@ static int iterate_to_equilibrium(const Membrane *f, const Settings *set, const 
    smaller jumps. */
 static int solve_from_rest(const Membrane *f, const Settings *set, const Bodies *bodies, const double *rest, double *found, Work *w) {
     qs_pad(f, 3, rest, w->x), memset(w->force, 0, f->count * sizeof *w->force);
-    see_touch(f, w->force, &w->seen), see_bodies(f, bodies, w->x, &w->seen);
+    mark_contact(f, w->force, &w->seen), evaluate_obstacles(f, bodies, w->x, &w->seen);
     double deep = 0;
     int status = NOT_CONVERGED;
     for (long k = 0; k < f->count; k++) deep = max_of(deep, w->x[2 * f->count + k] - w->seen.obstacle[k]);
@@ -191,7 +191,7 @@ int64_t qs_solve(const double *numbers, const double *law, int64_t columns, int6
         if (status == CONVERGED) status = check_validity(&f, &own_bodies, &w);
         own[STATUS] = status;
         for (long k = 0; k < n; k++) w.seen.cell[k] = (double)w.swells[k];
-        if (status == CONVERGED) add_up(&f, w.x, w.force, own, &w.seen);
+        if (status == CONVERGED) sum_contact(&f, w.x, w.force, own, &w.seen);
         write_state(&f, 3, w.x, own_x, own_trend), write_state(&f, 1, w.force, own_force, own_trend + 3 * nodes);
     }
     free(faces);

@@ -11,7 +11,7 @@
 typedef struct { double tension, gas; float *area_by, *volume_by, *y1, *y2; } GlobalTerms;
 
 typedef struct {
-    Seen seen;
+    ContactNodes seen;
     double *x, *force;                   /* (3, count), (count); x has room behind it */
     MembraneFields fine;
     MembraneFieldsFloat fast;
@@ -20,7 +20,7 @@ typedef struct {
     float *moved, *pushed, *plane, *plane_room;
     GlobalTerms global;
     Heights heights;
-    Learnt learnt;
+    Anderson learnt;
     const float *plane_factor;
     double pulled;                       /* identifies the edge springs in the factor */
     double pressure, gas_stiffness;

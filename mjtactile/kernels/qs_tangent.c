@@ -7,12 +7,12 @@
 
 long qs_tangent_size(const Membrane *f) {
     const long singles = qs_stencil_size(f) + band_of(f) + PANEL * (rows_of(f) + 14 * f->count);
-    return qs_lowest_size(f) + singles / 2 + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 32;
+    return qs_contact_size(f) + singles / 2 + (3 + 3 + 4 + 7 + 4 + 8) * f->count + 32;
 }
 
 Tangent qs_tangent_in(const Membrane *f, double *room) {
     const long n = f->count;
-    Tangent t = {.seen = qs_lowest_in(f, &room)};
+    Tangent t = {.seen = qs_contact_in(f, &room)};
     t.fields.elastic = qs_take(&room, 3 * n), t.fields.gradient = qs_take(&room, 3 * n);
     t.fields.along_x = t.seen.along_x, t.fields.along_y = t.seen.along_y;
     float *floats = (float *)qs_take(&room, qs_stencil_size(f) / 2);
@@ -81,7 +81,7 @@ static void add_bends(const Membrane *f, const Bodies *bodies, const double *x, 
     for (int axis = 0; axis < 2; axis++) {
         double *moved = t->x + axis * count;
         for (long k = from; k < to; k++) moved[k] = x[axis * count + k] + SLIDE;
-        see_bodies(f, bodies, t->x, &t->seen);
+        evaluate_obstacles(f, bodies, t->x, &t->seen);
         for (int c = 0; c < 2; c++)
             for (long k = c * count + from; k < c * count + to; k++) bend[2 * axis * count + k] = (t->seen.slope[k] - t->slope[k]) / SLIDE;
         for (long k = from; k < to; k++)

@@ -9,7 +9,7 @@
 #include "small_linalg.h"
 
 typedef struct {
-    Seen seen;
+    ContactNodes seen;
     MembraneFields fields;                 /* (3, count) twice: forces, and the volume's gradient */
     Stencil stiffness;
     float *band;                        /* band in panels, 3 inner */
@@ -35,8 +35,10 @@ static inline long band_of(const Membrane *f) { return panels_of(f) * PANEL * pa
 static inline long rows_of(const Membrane *f) { return panels_of(f) * PANEL + panels_height(QS_WIDTH(f)); }
 
 /* Return the range of lines on and next to which obstacles are evaluated. */
-static inline long first_line(const Membrane *f, const Seen *s) { return s->box[0] < s->box[1] ? (long)max_of(s->box[0] - 1, 0) : f->columns; }
-static inline long behind_lines(const Membrane *f, const Seen *s) { return (long)min_of(s->box[1] + 1, f->columns); }
+static inline long first_line(const Membrane *f, const ContactNodes *s) {
+    return s->box[0] < s->box[1] ? (long)max_of(s->box[0] - 1, 0) : f->columns;
+}
+static inline long behind_lines(const Membrane *f, const ContactNodes *s) { return (long)min_of(s->box[1] + 1, f->columns); }
 
 long qs_tangent_size(const Membrane *membrane);
 Tangent qs_tangent_in(const Membrane *membrane, double *room);

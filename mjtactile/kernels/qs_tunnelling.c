@@ -15,8 +15,8 @@
 /* Return 1 if an obstacle is behind the membrane, by more than `behind` spacings, over a position
    in the cell of node `k`. The membrane is taken as flat there, and no obstacle is below
    `floor`. */
-static int is_beyond_membrane(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen, long k, const double at[2],
-                              double floor, double behind) {
+static int is_beyond_membrane(const Membrane *f, const Bodies *bodies, const double *x, const ContactNodes *seen, long k,
+                              const double at[2], double floor, double behind) {
     const long corners[4] = {k, k + 1, k + f->line, k + f->line + 1};
     const double spacing = max_of(f->dx, f->dy);
     double height, slope[2], z = 0;
@@ -36,7 +36,7 @@ static int is_beyond_membrane(const Membrane *f, const Bodies *bodies, const dou
 }
 
 /* Check the centers of the cells. */
-static int penetrates_cell(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
+static int penetrates_cell(const Membrane *f, const Bodies *bodies, const double *x, const ContactNodes *seen) {
     const long first = seen->box[2], last = (long)min_of(seen->box[3], f->rows - 1);
     double at_x[QS_MAX_LINE], at_y[QS_MAX_LINE], floor[QS_MAX_LINE];
     for (long i = seen->box[0]; i < min_of(seen->box[1], f->columns - 1); i++) {
@@ -45,7 +45,7 @@ static int penetrates_cell(const Membrane *f, const Bodies *bodies, const double
             at_x[j] = ((double)i + 0.5) * f->dx - f->numbers.length_x / 2 + (x0[0] + x0[1] + x1[0] + x1[1]) / 4;
             at_y[j] = ((double)j + 0.5) * f->dy - f->numbers.length_y / 2 + (y0[0] + y0[1] + y1[0] + y1[1]) / 4;
         }
-        floor_at(seen, last - first, at_x + first, at_y + first, floor + first);
+        lower_bound_at(seen, last - first, at_x + first, at_y + first, floor + first);
         for (long j = first; j < last; j++) {
             const double at[2] = {at_x[j], at_y[j]};
             if (is_beyond_membrane(f, bodies, x, seen, i * f->line + j, at, floor[j], BEHIND)) return 1;
@@ -55,7 +55,7 @@ static int penetrates_cell(const Membrane *f, const Bodies *bodies, const double
 }
 
 /* Check the ends of the obstacles. */
-static int penetrates_at_end(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
+static int penetrates_at_end(const Membrane *f, const Bodies *bodies, const double *x, const ContactNodes *seen) {
     for (long b = 0; b < bodies->count; b++) {
         const Obstacle *one = qs_obstacle_at(bodies, b);
         const double half = one->kind == BODY_CAPSULE || one->kind == BODY_CYLINDER ? one->sizes[1] : 0;
@@ -65,13 +65,13 @@ static int penetrates_at_end(const Membrane *f, const Bodies *bodies, const doub
             if (i < 0 || j < 0 || i > f->columns - 2 || j > f->rows - 2) continue;
             const double tip = BEHIND_TIP + f->numbers.half_thickness / max_of(f->dx, f->dy), behind = one->kind == BODY_CONE ? tip : BEHIND;
             double below;
-            floor_at(seen, 1, at, at + 1, &below);
+            lower_bound_at(seen, 1, at, at + 1, &below);
             if (is_beyond_membrane(f, bodies, x, seen, (long)i * f->line + (long)j, at, below, behind)) return 1;
         }
     }
     return 0;
 }
 
-int penetrates_membrane(const Membrane *f, const Bodies *bodies, const double *x, const Seen *seen) {
+int penetrates_membrane(const Membrane *f, const Bodies *bodies, const double *x, const ContactNodes *seen) {
     return penetrates_cell(f, bodies, x, seen) || penetrates_at_end(f, bodies, x, seen);
 }

@@ -40,20 +40,20 @@ int qs_faces_height(const Membrane *membrane, const Obstacle *body, const double
 
 /* Obstacles at the nodes, and nodes in contact. Fields (count). */
 typedef struct {
-    /* heights, see `follow_bodies`, slopes (2, count), correction */
+    /* heights, see `extrapolate_obstacles`, slopes (2, count), correction */
     double *obstacle, *level, *slope, *lower;
     double *away; /* (2, count), m: from a node to a thin obstacle that was moved under it */
     double *edge, *spring;                    /* (4, count): see `find_edges` and `find_springs` */
     double *along_x, *along_y;                /* links of the membrane, see qs_elasticity.h */
     double *cell;                             /* projected area of a node's cell, m^2 */
-    double *planes;                           /* (QS_FLOORS, QS_PLANES), see `find_floors` */
+    double *planes;                           /* (QS_FLOORS, QS_PLANES), see `find_lower_bounds` */
     long floors; /* number of obstacles with lower bounds; -1: unknown */
     uint8_t *touching;
     uint8_t *requested; /* 1 if an obstacle may soon be at the membrane here, or at a neighbor */
     /* lines and nodes on them beyond which there is no obstacle: first, last plus one, for each */
     long box[4];
     int narrow;                               /* 1 if obstacles are not evaluated beyond the box */
-} Seen;
+} ContactNodes;
 
 static inline double *qs_take(double **from, long n) {
     double *here = *from;
@@ -61,10 +61,10 @@ static inline double *qs_take(double **from, long n) {
     return here;
 }
 
-long qs_lowest_size(const Membrane *membrane);
-Seen qs_lowest_in(const Membrane *membrane, double **room); /* initially empty */
+long qs_contact_size(const Membrane *membrane);
+ContactNodes qs_contact_in(const Membrane *membrane, double **room); /* initially empty */
 /* Return the fields as the last solution in this workspace left them. */
-Seen qs_lowest_before(const Membrane *membrane, double **room);
+ContactNodes qs_last_contact(const Membrane *membrane, double **room);
 
 /* Convert between Python's fields of nodes only and padded ones; `fields` of them, one after the
    other. */
@@ -73,37 +73,37 @@ void qs_unpad(const Membrane *membrane, long fields, const double *from, double 
 
 /* Mark nodes with a contact force as in contact. The box begins with these nodes and grows with the
    obstacles. */
-void see_touch(const Membrane *membrane, const double *force, Seen *seen);
+void mark_contact(const Membrane *membrane, const double *force, ContactNodes *seen);
 /* Restrict the evaluation of obstacles to nodes near the contact, if they are neither thin nor
    sharp. */
-void narrow_view(const Membrane *membrane, const Bodies *bodies, Seen *seen);
+void limit_to_contact(const Membrane *membrane, const Bodies *bodies, ContactNodes *seen);
 /* Compute planes below all obstacles, by tangents about the contact. They are valid while the
    obstacles stay in place, or are lifted. */
-void find_floors(const Membrane *membrane, const Bodies *bodies, Seen *seen);
+void find_lower_bounds(const Membrane *membrane, const Bodies *bodies, ContactNodes *seen);
 /* Compute the height (count) below which there is no obstacle, at each of some positions. */
-void floor_at(const Seen *seen, long count, const double *x, const double *y, double *floor);
+void lower_bound_at(const ContactNodes *seen, long count, const double *x, const double *y, double *floor);
 /* Evaluate the obstacles: heights and slopes over the nodes at their present positions; edges next
    to a node, to 2^-halves; heights from the last slopes; corrections. */
-void see_bodies(const Membrane *membrane, const Bodies *bodies, const double *x, Seen *seen);
-void find_edges(const Membrane *membrane, const Bodies *bodies, const double *x, long node, int halves, Seen *seen);
-void follow_bodies(const Membrane *membrane, const double *x, Seen *seen);
-void lower_round_bodies(const Membrane *membrane, Seen *seen);
+void evaluate_obstacles(const Membrane *membrane, const Bodies *bodies, const double *x, ContactNodes *seen);
+void find_edges(const Membrane *membrane, const Bodies *bodies, const double *x, long node, int halves, ContactNodes *seen);
+void extrapolate_obstacles(const Membrane *membrane, const double *x, ContactNodes *seen);
+void correct_round_obstacles(const Membrane *membrane, ContactNodes *seen);
 /* Return 1 if an obstacle is behind the membrane between its nodes: by more than they can detect,
    or where none of them is in contact. */
-int penetrates_membrane(const Membrane *membrane, const Bodies *bodies, const double *x, const Seen *seen);
-int against_the_frame(const Membrane *membrane, const Settings *set, const Seen *seen);
+int penetrates_membrane(const Membrane *membrane, const Bodies *bodies, const double *x, const ContactNodes *seen);
+int check_rim_contact(const Membrane *membrane, const Settings *set, const ContactNodes *seen);
 /* Compute the springs of a membrane that bends over edges, (4, count) by the side of the node on
    the obstacle. Returns a number that identifies the set of springs. */
-double find_springs(const Membrane *membrane, const double *z, Seen *seen);
+double find_springs(const Membrane *membrane, const double *z, ContactNodes *seen);
 /* Return the height of the node at a side of `k` above the extended face. */
-double rises_over_edge(const Membrane *membrane, const Seen *seen, const double *z, long k, int side);
+double height_over_edge(const Membrane *membrane, const ContactNodes *seen, const double *z, long k, int side);
 static inline long qs_next(const Membrane *membrane, int side) { /* sides: +x, -x, +y, -y */
     return side < 2 ? (side ? -membrane->line : membrane->line) : side == 2 ? 1 : -1;
 }
 
-void gas_of(const Membrane *membrane, const Settings *set, double bulge, double *pressure, double *stiffness);
+void evaluate_gas(const Membrane *membrane, const Settings *set, double bulge, double *pressure, double *stiffness);
 /* Compute the wrench about the origin of S and the contact area in `found`, whose pressure and
    tension are known. */
-void add_up(const Membrane *membrane, const double *x, const double *force, double *found, const Seen *seen);
+void sum_contact(const Membrane *membrane, const double *x, const double *force, double *found, const ContactNodes *seen);
 
 #endif

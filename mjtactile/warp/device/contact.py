@@ -57,7 +57,7 @@ def _sum(value: float) -> float:
 
 
 @wp.func
-def add_up(
+def sum_contact(
     membrane: MembraneGrid,
     geoms: wp.array2d(dtype=Geom),
     pool: wp.array(dtype=wp.vec4),

@@ -13,7 +13,7 @@ from mjtactile.warp.device.assembly import evaluate, prepare_heights, prepare_pl
 from mjtactile.warp.device.edges import find_springs
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.grid import MembraneGrid
-from mjtactile.warp.device.lowest_obstacle import any_thin
+from mjtactile.warp.device.lowest_obstacle import has_thin_obstacle
 from mjtactile.warp.device.obstacles import Geom, is_on
 from mjtactile.warp.device.relaxation import relax_heights, relax_plane, synchronize
 
@@ -151,7 +151,7 @@ def solve(
     """
     count = membrane.nx * membrane.ny
     p = fields.pressure[f]
-    has_thin = any_thin(membrane, geoms, f)
+    has_thin = has_thin_obstacle(membrane, geoms, f)
     if fields.lost[f] > 1:
         for k in range(lane, count, threads):
             fields.force[f, k] = 0.0

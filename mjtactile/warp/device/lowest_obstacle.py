@@ -83,7 +83,7 @@ def _is_thin(membrane: MembraneGrid, geom: Geom) -> bool:
 
 
 @wp.func
-def any_thin(membrane: MembraneGrid, geoms: wp.array2d(dtype=Geom), f: int) -> bool:
+def has_thin_obstacle(membrane: MembraneGrid, geoms: wp.array2d(dtype=Geom), f: int) -> bool:
     """Return True if a geom of membrane `f` is narrower than the node spacing."""
     found = int(0)
     for g in range(geoms.shape[1]):

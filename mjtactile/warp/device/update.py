@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.contact import MIN_FORCE, Patch, add_up, move, remember_nodes
+from mjtactile.warp.device.contact import MIN_FORCE, Patch, move, remember_nodes, sum_contact
 from mjtactile.warp.device.elasticity import mean_tension
 from mjtactile.warp.device.equilibrium import solve
 from mjtactile.warp.device.fields import Fields, Gas, Scheme
 from mjtactile.warp.device.grid import MembraneGrid
-from mjtactile.warp.device.lowest_obstacle import any_thin
+from mjtactile.warp.device.lowest_obstacle import has_thin_obstacle
 from mjtactile.warp.device.node_friction import move_loads, redistribute, rub
 from mjtactile.warp.device.obstacles import CONVEX, PLANE, Geom
 from mjtactile.warp.device.relaxation import synchronize
@@ -219,7 +219,7 @@ def update_all(
     synchronize()
     solve(membrane, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
     tension = mean_tension(membrane, fields.u, f, lane, threads, modulus[f])
-    has_thin = any_thin(membrane, geoms, f)
+    has_thin = has_thin_obstacle(membrane, geoms, f)
     list_held(membrane, fields, sticking, sensor_geoms.slots, f, finger, lane)
     if sticking.stale[f] != 0:
         keep_loads(membrane, sticking, states.nodes, f, lane, threads)
@@ -231,7 +231,7 @@ def update_all(
     for slot in range(sensor_geoms.bodies.shape[1]):
         body = sensor_geoms.bodies[finger, slot]
         if body >= 0:
-            patch = add_up(
+            patch = sum_contact(
                 membrane,
                 geoms,
                 pool,
