@@ -5,8 +5,8 @@
 - **Friction.** A Bayesian filter estimates the friction coefficient, which may change while the
   object is held (docs/theory/friction.md). The grip is the minimum force at which the probability
   of slip is below RISK. Close over the table a larger risk is taken, until friction is known.
-- **Jaws.** For a larger grip they move immediately, by the measured stiffness. The error that
-  remains after DELAY is regulated.
+- **Jaws.** Their goal follows the target immediately, by the measured stiffness, in both
+  directions. A force is compared with the opening that was sent DELAY before.
 - **Table and external pull.** Shear that vanishes, and returns with the opposite sign, is support
   by the table: release. Any other lasting change of shear is an external pull.
 
@@ -45,7 +45,7 @@ LOADED = 0.25  # minimum load over grip force of an object that may slip out, a 
 # a slip ends after SLIP_WAIT without a sign; the lift waits at most GRIP_WAIT for slip and grip, s
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0
 # delay from a command to its force in an image, s; time scale of force errors, s
-DELAY, SETTLING = 0.12, 0.3
+DELAY, SETTLING = 0.1, 0.2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
@@ -64,7 +64,7 @@ MEMORY_KEYS = {
 START = {f"{clock}_time": 0.0 for clock in ("pull", "wait", "test", "slip")} | {
     "low": WEIGH_HEIGHT,
     "target": MIN_FORCE,
-    "due": MIN_FORCE,
+    "sent": [],
     "load": vars(LoadEstimator()),
     "spring": vars(GripStiffnessEstimator()),
     "frames": vars(FrameLoadEstimator()),
@@ -134,26 +134,26 @@ def _grip_force(forces: list[float]) -> float:
 def _regulated(observation: Observation, command: Command, forces: list[float]) -> Command:
     """Move the opening so that the measured grip force reaches the target.
 
-    A larger target (or a tested smaller one) changes the opening immediately. The remaining error
-    is regulated relative to the target one delay ago. The command stays close to the actual
-    opening.
+    The goal moves with the target immediately, by the measured stiffness. Its remaining error is
+    corrected slowly: the force belongs to the opening that was sent one delay ago. The command
+    stays close to the actual opening.
     """
-    memory = command.memory
+    memory: Any = command.memory
     force = _grip_force(forces)
     spring = _stored(GripStiffnessEstimator, command)
     if min(forces) > TOUCH_FORCE / 2:
         spring = spring.after(observation.gripper.opening, force, observation.period)
     before = observation.command.memory.get("target", MIN_FORCE)
-    step = spring.way(before, memory["target"])
-    if memory["risk"] != TEST_RISK:
-        step = max(spring.way(max(before, force), memory["target"]), 0.0)
-    due = memory["due"] + min(1.0, observation.period / DELAY) * (memory["target"] - memory["due"])
-    speed = (due - force) / (spring.stiffness(force) * SETTLING)
-    speed = max(-LOOSEN_SPEED, min(TIGHTEN_SPEED, speed))
+    goal = memory.get("goal", command.opening)
+    sent = [*memory["sent"], command.opening][-max(1, round(DELAY / observation.period)) :]
+    speed = (sent[0] - goal + spring.way(before, force)) / SETTLING
+    speed = max(-TIGHTEN_SPEED, min(LOOSEN_SPEED, speed))
+    goal += speed * observation.period - spring.way(before, memory["target"])
     actual = observation.gripper.opening
-    opening = command.opening - step - speed * observation.period
-    opening = max(actual - 0.006, min(actual + 0.004, opening))
-    return phases.remember(replace(command, opening=opening), due=due, spring=vars(spring))
+    opening = max(actual - 0.006, min(actual + 0.004, goal))
+    return phases.remember(
+        replace(command, opening=opening), goal=goal, sent=sent, spring=vars(spring)
+    )
 
 
 def _approach(observation: Observation, command: Command, forces: list[float]) -> Command:

@@ -99,11 +99,11 @@ class LoadEstimator:
     ) -> LoadEstimator:
         """Update with one image.
 
-        The load increases only if two images confirm it. A single image may have an error of half a
-        load, which the grip would hold for 1.5 s. Once the object hangs, the grip also covers the
-        predicted increase. Before that, the gripper waits for its grip, so the load grows no
-        faster. The load decreases slowly. The predicted part is not retained. A sliding contact
-        carries only its friction. The load does not decrease meanwhile.
+        The load increases only if two images confirm it, or if the object slides. A single image
+        may have an error of half a load, which the grip would hold for 1.5 s. Once the object
+        hangs, the grip also covers the predicted increase. Before that, the gripper waits for its
+        grip, so the load grows no faster. The load decreases slowly. The predicted part is not
+        retained. A sliding contact carries only its friction. The load does not decrease meanwhile.
 
         Internal shear between two opposite fingers is not load; once the object hangs, upward
         forces are not either.
@@ -125,7 +125,7 @@ class LoadEstimator:
             mass = mass + period / _WEIGHING * (found - mass) if mass else found
         else:
             now = float(np.linalg.norm(external_shear(touch), axis=1).mean())
-        sure = now if self.last < 0 else min(now, self.last)
+        sure = now if self.last < 0 or is_slipping else min(now, self.last)
         past = sure if self.past < 0 else self.past + min(1.0, period / _LEAD) * (sure - self.past)
         ahead = sure + (max(sure - past, 0.0) if len(self.down) else 0.0)
         kept = 1.0 if is_slipping else math.exp(-period / _KEPT)

@@ -224,6 +224,8 @@ def test_a_load_grows_with_the_increase_of_two_images():
         for _ in range(30):
             grown = grown.after(heavier, 1 / 30)
         assert grown.worst == pytest.approx(0.62, abs=1e-3)
+        slides = load.after(heavier, 1 / 30, is_slipping=True)  # a second sign in the same image
+        assert slides.worst >= 0.62
 
 
 def test_an_announced_push_adds_to_the_weight_and_not_to_itself():
