@@ -164,7 +164,8 @@ class ContactDecision:
         problem = self._problem(estimate, traction, found, sd, moved, quiet=quiet)
         if problem is not None:
             status, reason = problem
-            return replace(touch, slip=slip.unknown(status.code, reason), status=status), state
+            lost = slip.unknown(status.code, reason)
+            return replace(touch, traction=None, slip=lost, status=status), state
         known = sd if found.touching else max(sd, self._min_force(state))
         estimated = replace(
             touch,
