@@ -30,7 +30,7 @@ from mjtactile.recording.observer import Observer, Observers
 from mjtactile.recording.policy_data import REWARDS
 from mjtactile.rig.domain_randomization import NONE
 from mjtactile.rig.finger import Rig
-from mjtactile.rig.registry import SIMULATES, build_rig
+from mjtactile.rig.registry import SIMULATES, build_rig, request_of
 from mjtactile.runtime.cycle import ControlCycle
 from mjtactile.runtime.grasp_scoring import GraspScore
 from mjtactile.runtime.perception_threads import Perceivers
@@ -243,11 +243,11 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
     def _build(self, seed: int) -> None:
         """Build a new world and take the references. Keep its state for a fast reset."""
         self.close()
-        rig = build_rig(self._scenario_of(seed))
-        if rig.scene is None:
-            rig.close()
+        scenario = self._scenario_of(seed)
+        if request_of(scenario)[0] not in SIMULATES:  # before a device is opened
             text = f"the rig {self.scenario.rig!r} is not a simulated rig"
             raise _refusal(text, "rig", SIMULATES)
+        rig = build_rig(scenario)
         if rig.touch_is_synthetic:  # a thread would cost more than it saves
             rig.clock.step_in_turn()  # pyright: ignore[reportAttributeAccessIssue]
         self._session = Session(rig, threads=0, contact_shapes=self.scenario.contact_shapes)

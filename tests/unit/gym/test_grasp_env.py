@@ -222,6 +222,8 @@ def test_a_world_that_varies_is_a_new_one():
         ({"observation": "pixels"}, "observation: 'pixels' .valid: wrench, markers, image"),
         ({"object": "moon"}, "unknown object"),
         ({"rig": "nowhere"}, "unknown rig"),
+        # its cameras, which are not connected, are not opened
+        ({"rig": "two_xm430"}, "'two_xm430' is not a simulated rig .valid: sim"),
     ],
 )
 def test_wrong_names_are_reported_in_one_line(how, text):
