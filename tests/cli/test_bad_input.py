@@ -75,7 +75,9 @@ CASES = {
         "0.06 0.06 0.06",
         "touches a sensor before",
         "they open to 80 mm",
-        "wider",
+        # a box with half sides of 60 mm in a file that allows any rotation about z: 120 to 170 mm
+        "its bounding box is 1",
+        "rotation_deg",
     ),
     "field missing": bad_sensor("young_MPa = 1.0", "", "membrane.young_MPa"),
     "misspelt": bad_sensor("young_MPa", "yung_MPa", "yung_MPa", "young_MPa"),

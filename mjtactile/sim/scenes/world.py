@@ -188,13 +188,31 @@ def touched_by_sensors(world: World) -> set[tuple[str, str, str]]:
 
 def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
     """Raise InputError for an object that touches a sensor in the initial state."""
-    if any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
-        raise InputError(
-            f"touches a sensor before the jaws close: they open to {1e3 * opening:.0f} mm, "
-            "and the object is wider there or not centered",
-            source=grasped.path,
-            field="object",
+    if not any(not body or body.startswith(PREFIX) for _, body, _ in touched_by_sensors(world)):
+        return
+    text = f"touches a sensor before the jaws close: they open to {1e3 * opening:.0f} mm"
+    if width := _width(world):
+        text += (
+            f", and its bounding box is {1e3 * width:.0f} mm wide in their direction (files are in "
+            "m), or not centered"
         )
+    if grasped.turn > 0:
+        text += "; the seed rotates it about z, which rotation_deg in its file limits"
+    raise InputError(text, source=grasped.path, field="object")
+
+
+def _width(world: World) -> float:
+    """Return the extent of the bounding boxes of the object's geoms along the closing direction, m; 0 of a flex."""
+    model = world.model
+    geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body(PREFIX + "object").id)
+    if not len(geoms):
+        return 0.0
+    closing = world.data.xmat[world.sensors[0].body_id].reshape(3, 3)[:, 2]
+    along = closing @ world.data.geom_xmat[geoms].reshape(-1, 3, 3)
+    center, half = model.geom_aabb[geoms, :3], model.geom_aabb[geoms, 3:]
+    middle = world.data.geom_xpos[geoms] @ closing + (along * center).sum(axis=1)
+    reach = (np.abs(along) * half).sum(axis=1)
+    return float((middle + reach).max() - (middle - reach).min())
 
 
 def _is_part(world: World, sensor: AnySensor, geom: int, flex: int) -> bool:
