@@ -9,6 +9,7 @@ from typing import Any
 from mjtactile import InputError, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import (
+    exit_code_of_steps,
     optional_folder,
     print_flags,
     print_result,
@@ -29,8 +30,9 @@ examples:
 
 JSON: {"sensor": …, "steps": [{"pressure_kPa", "centre_height_mm", "volume_mL" (gas in
 chamber and bulge), "area_mm2", "max_stretch" (relative to the unstretched membrane),
-"theory_height_mm" (null where the rubber cannot hold the pressure), "converged"}], "flags":
-{kind: {"reason", "first_s", "last_s", "fraction"}}}
+"theory_height_mm" (null where the rubber cannot hold the pressure), "converged"}],
+"stopped": null, or the reason for missing steps (interrupted, simulation failed),
+"flags": {kind: {"reason", "first_s", "last_s", "fraction"}}}
 """
 
 ARGUMENTS = (
@@ -60,12 +62,13 @@ def run(options: argparse.Namespace) -> int:
                 design,
                 [1e3 * p for p in options.pressures],
                 notify=Progress(quiet=options.json).message,
+                keep_partial=True,
             )
         if out is not None:
             write_json(out / "inflate.json", result)
             save_plot(out / "inflate.png", lambda figure: _plot(figure, result))
     print_result(options, result, lambda: _print_table(result, options.out))
-    return 0
+    return exit_code_of_steps(result, len(options.pressures))
 
 
 def _print_table(result: dict[str, Any], out: Path | None) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 
 from mjtactile import InputError, Recording
 from mjtactile.commands.nonblocking_output import Background
-from mjtactile.core import foreign_file, resources
+from mjtactile.core import foreign_file, resources, signals
 from mjtactile.recording.files import to_json
 from mjtactile.types import Flags
 
@@ -145,6 +145,16 @@ def print_result(
         print(text)
     else:
         text()
+
+
+def exit_code_of_steps(result: dict[str, Any], count: int) -> int:
+    """Return the exit code of a result with "steps", of `count` requested ones. Print the reason
+    under "stopped" to stderr."""
+    if result["stopped"] is None:
+        return 0
+    complete = f"{len(result['steps'])} of {count} steps are complete"
+    print(f"mjtactile: {result['stopped']}; {complete}", file=sys.stderr)
+    return signals.EXIT_CODE
 
 
 def save_plot(

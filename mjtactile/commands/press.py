@@ -12,6 +12,7 @@ from mjtactile import InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands import effects
 from mjtactile.commands.output import (
+    exit_code_of_steps,
     optional_folder,
     print_flags,
     print_result,
@@ -42,6 +43,7 @@ about the frame center), "force_estimated_sd_N", "drive_force_N" (load cell on t
 unknown), "probabilities", "curvatures_per_m", "radius_mm", "direction_deg", "area_mm2",
 "area_interval_mm2" (68 %), "force_normal_N", "pose", "outline_mm", "misfit", "status",
 "parts" (of several objects at once, each)},
+"stopped": null, or the reason for missing steps (interrupted, simulation failed), with exit code 3,
 "flags": {kind: {"reason", "first_s", "last_s", "fraction"}}}
 """
 
@@ -111,13 +113,14 @@ def run(options: argparse.Namespace) -> int:
                 seed=options.seed,
                 notify=notify,
                 error_estimate=options.error_estimate,
+                keep_partial=True,
                 **simulation,
             )
         if out is not None:
             write_json(out / "press.json", result)
             save_plot(out / "press.png", lambda figure: _plot(figure, result, design), (11.0, 4.2))
     print_result(options, result, lambda: _print_table(result, options.out))
-    return 0
+    return exit_code_of_steps(result, len(plan.depths))
 
 
 def _check(options: argparse.Namespace, design: SensorDesign) -> None:

@@ -6,7 +6,7 @@ access to ground truth is allowed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.effect_names import Effect
+from mjtactile.core.errors import SimulationError
 from mjtactile.core.flags import Reasons
 from mjtactile.core.ritz_bulge import GRAVITY, inflated_height
 from mjtactile.core.types import ContactShape, Touch
@@ -36,28 +37,51 @@ def inflate(
     *,
     mesh: tuple[int, int] | None = None,
     notify: Notify = lambda _: None,
+    keep_partial: bool = False,
 ) -> dict[str, Any]:
-    """Simulate a bulge test at each gauge pressure, Pa; return the JSON of `mjtactile inflate`."""
+    """Simulate a bulge test at each gauge pressure, Pa; return the JSON of `mjtactile inflate`.
+
+    `keep_partial`: as for `press`.
+    """
     world = _world(design, _NOWHERE, mesh=mesh)
-    steps = []
+    steps, stopped = _until_stopped(_bulges(world, pressures), notify, keep_partial)
+    return {"sensor": design.name, "steps": steps, "stopped": stopped, "flags": world.flags}
+
+
+def _bulges(world: PressWorld, pressures: Sequence[float]) -> Iterator[tuple[dict[str, Any], str]]:
+    """Inflate to each pressure, Pa; yield its row of the JSON, and a message."""
     for pressure in pressures:
         converged = world.inflate(pressure, seal=False)
         sensor = world.sensors[0]
         stretch, area = sensor.stretch_and_area()
+        height = 1e3 * sensor.height_at(0.0, 0.0)
+        step = {
+            "pressure_kPa": 1e-3 * pressure,
+            "centre_height_mm": height,
+            "volume_mL": 1e6 * sensor.volume,
+            "area_mm2": 1e6 * area,
+            "max_stretch": stretch,
+            "theory_height_mm": 1e3 * inflated_height(world.design, pressure, gravity=GRAVITY),
+            "converged": converged,
+        }
+        yield step, f"{1e-3 * pressure:.3g} kPa: {height:.3f} mm"
 
-        steps.append(
-            {
-                "pressure_kPa": 1e-3 * pressure,
-                "centre_height_mm": 1e3 * sensor.height_at(0.0, 0.0),
-                "volume_mL": 1e6 * sensor.volume,
-                "area_mm2": 1e6 * area,
-                "max_stretch": stretch,
-                "theory_height_mm": 1e3 * inflated_height(design, pressure, gravity=GRAVITY),
-                "converged": converged,
-            }
-        )
-        notify(f"{steps[-1]['pressure_kPa']:.3g} kPa: {steps[-1]['centre_height_mm']:.3f} mm")
-    return {"sensor": design.name, "steps": steps, "flags": world.flags}
+
+def _until_stopped(
+    steps: Iterable[tuple[dict[str, Any], str]], notify: Notify, keep_partial: bool
+) -> tuple[list[dict[str, Any]], str | None]:
+    """Return the completed rows, and the reason if the simulation failed or was interrupted after
+    the first; without `keep_partial`, raise then."""
+    done: list[dict[str, Any]] = []
+    try:
+        for step, message in steps:
+            done.append(step)
+            notify(message)
+    except (KeyboardInterrupt, SimulationError) as error:
+        if not (done and keep_partial):
+            raise
+        return done, str(error) or "interrupted"
+    return done, None
 
 
 @dataclass(frozen=True)
@@ -85,12 +109,14 @@ def press(
     seed: int = 0,
     notify: Notify = lambda _: None,
     error_estimate: bool = False,
+    keep_partial: bool = False,
     **simulation: Any,
 ) -> dict[str, Any]:
     """Drive the indenter in steps; return the JSON of `mjtactile press`.
 
     Estimates come from rendered images alone. `error_estimate`: True to run again on a coarser
-    mesh, so that every step reports its own force error.
+    mesh, so that every step reports its own force error. `keep_partial`: True to return the
+    completed steps, with the reason under "stopped", after an interruption or a SimulationError.
     `simulation`: `timestep` s and `effects` of the world.
     """
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
@@ -98,22 +124,11 @@ def press(
     shadows = Effect.SHADOWS in simulation.get("effects", ())
     view = View(world, design, seed=seed, shadows=shadows, gauge=True)
     take_references(world, [view], design.chamber.supply_gauge, sealed=plan.sealed)
-    steps = []
-    touches = []
-    for depth in plan.depths:
-        converged = world.press(depth)
-        if plan.shear:
-            converged = world.press(depth, plan.shear)
-        touches.append(view.settled_touch())
-        steps.append(_step(world, touches[-1], converged))
-        if plan.shear:
-            world.press(depth)
-        notify(
-            f"depth {1e3 * depth:.2f} mm: {-steps[-1]['force_true_N'][2]:.3f} N, estimated "
-            f"{-steps[-1]['force_estimated_N'][2]:.3f} N"
-        )
+    touches: list[Touch] = []
+    rows = _indentations(world, view, plan, touches)
+    steps, stopped = _until_stopped(rows, notify, keep_partial)
     grid = world.sensors[0].mesh
-    if error_estimate:
+    if error_estimate and not stopped:
         errors = press_errors(
             lambda m, t: _bare_steps(design, plan, m, simulation | {"timestep": t}),
             steps,
@@ -122,14 +137,30 @@ def press(
         )
         for step, error in zip(steps, errors, strict=True):
             step["force_error_estimate_N"] = error
-    shape = shape_report(view.perception.shape(touches))
     return {
         "sensor": design.name,
         "mesh": [grid.nx, grid.ny],
         "steps": steps,
-        "shape": shape,
+        "shape": shape_report(view.perception.shape(touches)),
+        "stopped": stopped,
         "flags": view.flags,
     }
+
+
+def _indentations(
+    world: PressWorld, view: View, plan: IndentationPlan, touches: list[Touch]
+) -> Iterator[tuple[dict[str, Any], str]]:
+    """Drive to each depth and append its touch; yield its row of the JSON, and a message."""
+    for depth in plan.depths:
+        converged = world.press(depth)
+        if plan.shear:
+            converged = world.press(depth, plan.shear)
+        touches.append(view.settled_touch())
+        step = _step(world, touches[-1], converged)
+        if plan.shear:
+            world.press(depth)
+        true, estimated = (-step[f"force_{kind}_N"][2] for kind in ("true", "estimated"))
+        yield step, f"depth {1e3 * depth:.2f} mm: {true:.3f} N, estimated {estimated:.3f} N"
 
 
 def shape_report(shape: ContactShape) -> dict[str, Any]:

@@ -202,7 +202,8 @@ def require_clear(world: World, grasped: ObjectModel, opening: float) -> None:
 
 
 def _width(world: World) -> float:
-    """Return the extent of the bounding boxes of the object's geoms along the closing direction, m; 0 of a flex."""
+    """Return the extent of the object's bounding boxes along the closing direction, m; 0 of a
+    flex."""
     model = world.model
     geoms = np.flatnonzero(model.body_rootid[model.geom_bodyid] == model.body(PREFIX + "object").id)
     if not len(geoms):
