@@ -21,6 +21,13 @@ from mjtactile.sensing.settings import ContactShapeSettings
 _INTERVAL = (0.16, 0.84)
 _LIKELY = 1e-3  # minimum probability of a family that contributes to an interval
 FACES = ("disc", "block")
+# Relative growth of a fitted face with a sharp rim, and with one as round as a superquadric's;
+# standard deviation of both
+_GROWTH = (-0.06, 0.09, 0.05)
+_ROUND_LOG_ODDS = -1.7  # before the growth is known: 15 %
+_ROUND_SD = 0.1  # relative, of the contact area with a round rim
+_CERTAIN = 20.0
+_WHOLE = 0.9  # minimum area of a face that touches as a whole, over its nominal area
 _SLOPES = (0.02, 1.2)  # slope of the membrane at a rim: minimum, maximum
 _FACE_MIN = 0.5  # minimum fraction of an estimated face area that remains after the rim correction
 
@@ -126,6 +133,30 @@ def area_sd(found: Fit, area: float, noise: float, s: ContactShapeSettings) -> f
         by_node = s.mesh_ratio**2 * s.area_by_node / touching(found)
         model = math.hypot(s.area_sd, by_node) * area
     return math.hypot(math.sqrt(max(known, 0.0)), model)
+
+
+def rim_areas(
+    found: Fit, growth: tuple[float, float], p: float, area: float, sd: float
+) -> list[tuple[float, float, float]]:
+    """Return the contact areas of a face with a sharp and with a round rim, the likelier first.
+    Each has its probability, out of `p`, and its standard deviation, m^2. `area` and `sd` are those
+    of the sharp rim. On a round one, contact spreads with depth, and the fitted face grows by the
+    relative `growth` (and its variance). The area of the membrane model includes the rim. On a
+    tilted face that touches in part, contact spreads as well, and nothing is known of the rim."""
+    mean, variance = growth
+    name, theta = found.family.name, found.theta
+    if name not in FACES or not math.isfinite(variance):
+        return [(p, area, sd)]
+    face = math.pi * theta[5] ** 2 if name == "disc" else 4 * theta[6] * theta[7]
+    if area < _WHOLE * 1e-6 * face:
+        return [(p, area, sd)]
+    low, high, spread = _GROWTH
+    square = variance + spread**2
+    log_odds = ((mean - low) ** 2 - (mean - high) ** 2) / (2 * square) + _ROUND_LOG_ODDS
+    is_round = 1 / (1 + math.exp(-min(max(log_odds, -_CERTAIN), _CERTAIN)))
+    spreads = found.state.area
+    rims = [(p * (1 - is_round), area, sd), (p * is_round, spreads, _ROUND_SD * spreads)]
+    return sorted(rims, reverse=True)
 
 
 def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
 from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
 from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart, Proposal
-from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval
+from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval, rim_areas
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load, tip_probability
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
@@ -30,11 +30,13 @@ from mjtactile.sensing.contact_shape.primitives import (
     InitialGuess,
     feasible_half_extents,
 )
+from mjtactile.sensing.contact_shape.quadric_deviation import deviation
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, motion, tracked
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES, kinds_of
 from mjtactile.sensing.contact_shape.shape_result import (
     build_shape,
     with_curvature_spread,
+    with_position_spread,
     with_tip,
 )
 from mjtactile.sensing.contact_shape.start_files import reference_guess
@@ -115,7 +117,7 @@ class ContactShapeEstimator:
         press = replace(
             press, track=track, reported=self._kind(press, before, data.force, position)
         )
-        shape = self._result(press, scale, slips(touch))
+        shape = self._result(press, data, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
         return Found(
@@ -161,7 +163,7 @@ class ContactShapeEstimator:
         unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
         return ReportedKind("unknown" if unexplained else kind, force, position)
 
-    def _result(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
+    def _result(self, press: PressHistory, data: Data, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
@@ -178,10 +180,16 @@ class ContactShapeEstimator:
             total = sum(areas(self.forward, found, s))
             weighed.append((probability, total, area_sd(found, total, scale, s)))
         spread = scale * press.candidates[0].common.variance_factor
-        shape = build_shape(
-            self.forward, press.now, kind, probabilities, spread, interval(weighed), s
-        )
-        shape = with_curvature_spread(shape, press.bodies())
+        other = deviation(self.forward, press.now, data, scale)
+        if other is not None:
+            weighed[0] = other.with_area(*weighed[0])
+        growth = press.candidates[0].common.growth
+        weighed[:1] = rim_areas(press.now, growth, *weighed[0])
+        sizes = (weighed[0][1], interval(weighed))
+        shape = build_shape(self.forward, press.now, kind, probabilities, spread, sizes, s, other)
+        sharp = probabilities["edge"] + probabilities["point"]
+        shape = with_curvature_spread(shape, press.bodies(), sharp)
+        shape = with_position_spread(shape, press.bodies()[1:])
         shape = with_tip(shape, tip_probability(press.now, spread, s))
         return replace(shape, motion=motion(press.track, press.now, slips=sliding))
 

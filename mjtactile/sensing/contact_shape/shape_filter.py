@@ -27,13 +27,15 @@ class ShapeFilter:
     """Information on the constant parameters (`ShapeModel.kept`), in units of their standard
     deviation. `precision` (m, m) is their precision, `information` (m,) the precision times the
     mean. `coarse` is the mesh ratio (`ContactShapeSettings.mesh_ratio`). `drift` is the sum of
-    squares of their changes, with `freedom` degrees of freedom."""
+    squares of their changes, with `freedom` degrees of freedom. `growth` is the smallest relative
+    increase of a parameter at the last evaluation over the earlier ones, and its variance."""
 
     precision: Array
     information: Array
     coarse: float = 1.0
     drift: float = 0.0
     freedom: float = 0.0
+    growth: tuple[float, float] = (0.0, math.inf)
 
     @classmethod
     def of(cls, family: ShapeModel, coarse: float = 1.0) -> ShapeFilter:
@@ -49,6 +51,7 @@ class ShapeFilter:
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
         seen, information = _information_of(fit)
+        growth = self._growth(seen, information)
         inflation = np.eye(len(information)) + seen @ _model_error_variance(fit, self.coarse)
         seen = np.linalg.solve(inflation, seen)
         information = np.linalg.solve(inflation, information)
@@ -57,7 +60,20 @@ class ShapeFilter:
         )
         freedom = self.freedom + (len(information) if self.precision.any() else 0)
         precision = self.precision + seen
-        return ShapeFilter(precision, self.information + information, self.coarse, drift, freedom)
+        total = self.information + information
+        return ShapeFilter(precision, total, self.coarse, drift, freedom, growth)
+
+    def _growth(self, seen: Array, information: Array) -> tuple[float, float]:
+        """Return `growth` for an evaluation with precision `seen` (m, m) and information vector
+        `information` (m,)."""
+        if not self.precision.any():
+            return 0.0, math.inf
+        tiny = _UNSEEN * np.eye(len(information))
+        known, new = np.linalg.inv(self.precision + tiny), np.linalg.inv(seen + tiny)
+        before = np.maximum(known @ self.information, _UNSEEN)
+        relative = (new @ information - before) / before
+        side = int(relative.argmin())
+        return float(relative[side]), float((known + new)[side, side] / before[side] ** 2)
 
     def _squared_distance(self, seen: Array, information: Array) -> float:
         """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The

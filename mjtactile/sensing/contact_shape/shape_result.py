@@ -16,11 +16,11 @@ from mjtactile.sensing.contact_shape.contact_area import areas, nearest_part, sh
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
 from mjtactile.sensing.contact_shape.primitives import InitialGuess, about, place_of, principal
+from mjtactile.sensing.contact_shape.quadric_deviation import Deviation
 from mjtactile.sensing.contact_shape.shape_filter import touching
-from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
+from mjtactile.sensing.contact_shape.shape_models import SHARP, ShapeModel, kinds_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
-_THIRD_AXIS = 1.5  # sd of the inverse semi-axis, over the larger curvature
 _FINER = 4  # subdivision of the membrane's node spacing for an outline
 _UNKNOWN_DIRECTION_SD = math.pi / math.sqrt(12)  # rad
 _Rotations = tuple[int | None, int | None, int | None]
@@ -32,18 +32,34 @@ def build_shape(
     kind: str,
     probabilities: dict[str, float],
     scale: float,
-    interval: tuple[float, float],
+    sizes: tuple[float, tuple[float, float]],
     s: ContactShapeSettings,
+    other: Deviation | None = None,
 ) -> ContactShape:
     """Build the reported contact shape from a fit. `scale` is the factor on the fit's covariance,
-    from its misfit, and `interval` that of the area, m^2."""
+    from its misfit, `sizes` are the area and its interval, m^2, `other` is the deviation from the
+    model. The radius is that of the fitted ball, if the object is one."""
     cov = reported_covariance(found, scale, s)
     if found.family.parts:
-        return _several(forward, found, cov, probabilities, interval, s)
+        return _several(forward, found, cov, probabilities, sizes[1], s)
+    theta, own_sd = found.theta, math.sqrt(cov[3, 3])
+    if other is not None:
+        theta, cov = theta + other.theta, cov + other.cov
     force = s.friction * found.state.force_normal
-    total = _ContactSummary(areas(forward, found, s)[0], force, interval, found.misfit)
+    total = _ContactSummary(sizes[0], force, sizes[1], found.misfit)
     outline = _outline(forward, found, found.state.contact_forces)
-    return _body(found.family, found.theta, found.hint, cov, kind, probabilities, total, outline, s)
+    shape = _body(found.family, theta, found.hint, cov, kind, probabilities, total, outline, s)
+    if other is None or found.family.name != "ball":
+        return shape
+    return replace(_with_unequal(shape, other), **_radius(found.theta[3], own_sd))
+
+
+def _with_unequal(shape: ContactShape, other: Deviation) -> ContactShape:
+    """Return a ball with the two curvatures of its deviation `other`."""
+    mean = shape.curvatures[0]
+    half = min(float(np.hypot(*other.unequal)), mean)  # not concave
+    sd = math.hypot(shape.curvatures_sd[0], other.unequal_sd)
+    return replace(shape, curvatures=(mean + half, mean - half), curvatures_sd=(sd, sd))
 
 
 def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:
@@ -53,19 +69,7 @@ def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Ar
     by_node = {"k": s.mesh_ratio**2 * s.curvature_by_node, "radius": size, "half": size}
     kinds = [name.split("_")[0] for name in found.family.names]
     wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
-    bent = np.array([kind == "k" for kind in kinds])
-    wrong[bent] = np.hypot(wrong, _by_third_axis(found) * found.theta)[bent]
     return found.cov_with(scale) + np.outer(wrong, wrong)
-
-
-def _by_third_axis(found: Fit) -> float:
-    """Return the relative standard deviation of the curvatures of a smooth shape due to its unknown
-    third semi-axis, on which they depend with depth (docs/theory/contact_shape.md, Eq. F20)."""
-    if found.family.name != "smooth":
-        return 0.0
-    maximum, minimum, _ = principal(found.theta)
-    depth = found.state.area * math.sqrt(max(maximum * minimum, 0.0)) / (2 * math.pi)
-    return _THIRD_AXIS * depth * maximum / 2
 
 
 @dataclass(frozen=True)
@@ -191,18 +195,36 @@ def _smooth(theta: Array, cov: Array, s: ContactShapeSettings) -> dict[str, Any]
     return measures
 
 
-def with_curvature_spread(shape: ContactShape, fits: list[tuple[float, Fit]]) -> ContactShape:
+def with_curvature_spread(
+    shape: ContactShape, fits: list[tuple[float, Fit]], sharp: float = 0.0
+) -> ContactShape:
     """Return the shape with the standard deviations of its curvatures over all round models. `fits`
-    are their probabilities and fits."""
+    are their probabilities and fits, the reported one first. `sharp` is the probability of an edge
+    or a point. Its curvature has no maximum; half its possible radii are below half of 1 / SHARP.
+    """
     if shape.family not in _ROUND:
         return shape
     bent = [(p, _principal(fit)) for p, fit in fits if fit.family.name in _ROUND]
     p = np.array([bending[0] for bending in bent])
     deviation = np.array([bending[1] for bending in bent]) - shape.curvatures
+    deviation[0] = 0.0
     variance = p @ deviation**2 / p.sum()
-    sd = np.hypot(shape.curvatures_sd, np.sqrt(variance))
+    variance[0] += sharp * SHARP**2
+    sd = np.sqrt(np.square(shape.curvatures_sd) + variance)
     grown = float(np.linalg.norm(sd) / max(np.linalg.norm(shape.curvatures_sd), 1e-9))
     return replace(shape, curvatures_sd=sd, radius_sd=grown * shape.radius_sd)
+
+
+def with_position_spread(shape: ContactShape, others: list[tuple[float, Fit]]) -> ContactShape:
+    """Return the shape with the covariance of its position over all models. `others` are the
+    probabilities and fits of those that are not reported. A round model has its lowest point there,
+    and a flat one the center of its face."""
+    cov = shape.pose_cov.copy()
+    for probability, fit in others:
+        if not fit.family.parts and not shape.parts:
+            off = place_of(fit.theta, fit.hint) - shape.p_SO
+            cov[:3, :3] += probability * np.outer(off, off)
+    return replace(shape, pose_cov=cov)
 
 
 def with_tip(shape: ContactShape, probability: float) -> ContactShape:

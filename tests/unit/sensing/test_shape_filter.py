@@ -77,6 +77,11 @@ def test_estimates_add_up_and_differ_with_heavy_tails(k2):
         means.append(mean)
         variances.append(variance + (WRONG * k / BALL.sd[3]) ** 2)
         common = common.with_observation(fit)
+    growth, variance = common.growth
+    # directions without information get a millionth
+    assert growth == pytest.approx(means[1] / means[0] - 1, abs=1e-6)
+    own = variances[1] - (WRONG * k2 / BALL.sd[3]) ** 2  # of the image alone
+    assert variance == pytest.approx((variances[0] + own) / means[0] ** 2, rel=1e-4)
     precision = sum(1 / v for v in variances)
     both = sum(m / v for m, v in zip(means, variances, strict=True)) / precision
     # exact except for the 1e-6 that stands for unobserved parameters

@@ -8,11 +8,16 @@ import pytest
 
 from mjtactile import QuasistaticMembrane, load_sensor
 from mjtactile.core.types import SHAPES, ContactShape
+from mjtactile.sensing.contact_shape.contact_area import rim_areas
 from mjtactile.sensing.contact_shape.fit_state import _whitening
 from mjtactile.sensing.contact_shape.initial_search import Suggestions
 from mjtactile.sensing.contact_shape.random_presses import GROUPS
-from mjtactile.sensing.contact_shape.shape_models import FAMILIES
-from mjtactile.sensing.contact_shape.shape_result import with_curvature_spread, with_tip
+from mjtactile.sensing.contact_shape.shape_models import FAMILIES, SHARP
+from mjtactile.sensing.contact_shape.shape_result import (
+    with_curvature_spread,
+    with_position_spread,
+    with_tip,
+)
 from mjtactile.sensing.touch.patches import _area_interval
 
 
@@ -51,7 +56,8 @@ def round_shape(**values):
 
 
 def fit(name, theta):
-    return SimpleNamespace(family=FAMILIES[name], theta=np.array(theta, float))
+    guess = SimpleNamespace(position=np.zeros(2), height=0.0)
+    return SimpleNamespace(family=FAMILIES[name], theta=np.array(theta, float), hint=guess)
 
 
 def test_another_round_model_widens_the_curvatures():
@@ -70,11 +76,52 @@ def test_another_round_model_widens_the_curvatures():
     assert with_curvature_spread(flat, fits) is flat
 
 
+def test_a_probably_sharp_contact_has_no_certain_curvature():
+    fits = [(1.0, fit("ball", [0, 0, 0, 100]))]
+    shape = with_curvature_spread(round_shape(), fits, sharp=0.25)
+    # half of the limit of sharp contacts, for the larger curvature
+    assert shape.curvatures_sd == pytest.approx([np.hypot(3.0, 0.5 * SHARP), 3.0])
+
+
+def test_another_model_widens_the_position():
+    """A mixture: 0.25 of a square of 2 mm in x, and 0.04 of one of 1 mm in y."""
+    others = [(0.25, fit("disc", [2, 0, 0, 0, 0, 4])), (0.04, fit("smooth", [0, 1, 0, 90, 0, 90]))]
+    shape = with_position_spread(round_shape(p_SO=np.zeros(3)), others)
+    assert np.sqrt(np.diag(shape.pose_cov)[:3]) == pytest.approx([1e-3, 2e-4, 0.0])
+    assert not with_position_spread(round_shape(p_SO=np.zeros(3)), []).pose_cov.any()
+
+
 def test_a_likely_tip_widens_the_position():
     shape = with_tip(round_shape(), 0.25)
     # half of 0.4 and of 0.2 times the contact radius of 2 mm
     assert np.sqrt(np.diag(shape.pose_cov))[:3] == pytest.approx([2e-4, 2e-4, 4e-4])
     assert not with_tip(round_shape(), 0.0).pose_cov.any()
+
+
+def disc(area, radius=4.0):
+    fitted = fit("disc", [0, 0, 0, 0, 0, radius])
+    fitted.state = SimpleNamespace(area=area)
+    return fitted
+
+
+def test_a_face_that_grows_with_depth_has_a_round_rim():
+    """The densities of a growth of 0.09 differ by exp(0.15^2 / (2 (0.05^2 + v)))."""
+    face, spread = np.pi * 16e-6, 70e-6
+    (p, area, _), (other, sharp, sd) = rim_areas(disc(spread), (0.09, 0.0), 0.8, face, 2e-6)
+    assert (area, sharp, sd) == (spread, face, 2e-6)
+    assert p + other == pytest.approx(0.8)
+    assert np.log(p / other) == pytest.approx(0.15**2 / (2 * 0.05**2) - 1.7)
+    (_, area, _), _ = rim_areas(disc(spread), (0.09, 0.1**2), 0.8, face, 2e-6)
+    assert area == face  # uncertain growth
+    (_, area, _), _ = rim_areas(disc(spread), (-0.06, 0.0), 0.8, face, 2e-6)
+    assert area == face
+
+
+def test_a_face_without_history_or_in_part_has_a_sharp_rim():
+    face = np.pi * 16e-6
+    assert rim_areas(disc(70e-6), (0.0, np.inf), 0.8, face, 2e-6) == [(0.8, face, 2e-6)]
+    part = 0.8 * face
+    assert rim_areas(disc(70e-6), (0.09, 0.0), 0.8, part, 2e-6) == [(0.8, part, 2e-6)]
 
 
 def test_models_that_image_and_history_exclude_are_not_fitted():
