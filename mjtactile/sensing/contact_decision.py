@@ -18,6 +18,7 @@ from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sensing.settings import Settings
 from mjtactile.sensing.touch import slip
 from mjtactile.sensing.touch.patches import find_patches, together
+from mjtactile.sensing.wide_face import size_deviation
 
 _OVERLOADS_SURE = 2  # images in a row: a single torn image is not an overload
 
@@ -120,6 +121,14 @@ class ContactDecision:
         if estimate.on_frame:
             text = "a face wider than the frame rests on it; the frame carries a part of the load"
             return Status(StatusCode.INCONSISTENT, text), "a face rests on the frame"
+        deviation = size_deviation(estimate.shape)
+        unmeasured = estimate.state.face is not None and estimate.state.gas is None
+        if unmeasured and deviation > s.inverse.face_size_max:
+            text = (
+                "the circle sizes contradict the membrane under a face wider than the frame by "
+                f"{deviation:.1f} standard deviations, and no pressure sensor decides"
+            )
+            return Status(StatusCode.INCONSISTENT, text), "no balance"
         gap = self._unbalanced(estimate, traction)
         if gap > s.inverse.gap_max * abs(found.force) and gap > s.zero.touch_min:
             text = (

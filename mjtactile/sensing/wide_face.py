@@ -205,6 +205,15 @@ class WideFaceTest:
         return rivals
 
 
+def size_deviation(shape: Shape) -> float:
+    """Return the deviation of all circle sizes in this image from those on the membrane, in
+    standard deviations of their common change from image to image; 0 if it is not estimated."""
+    camera = shape.gain.camera
+    if not isinstance(camera, CameraDriftFilter) or not camera.jitter:
+        return 0.0
+    return abs(float(shape.camera[MODES]))
+
+
 def has_changed(shape: Shape, settings: InverseSettings) -> bool:
     """Return True if the camera differs from the drift estimated in earlier images."""
     fraction = shape.camera**2 / shape.gain.observed_drift[1:]

@@ -221,6 +221,13 @@ class InverseSettings:
     face_sunk: float = number(
         5e-5, "depth below the frame, m, at which a wide face rests on it", FACE, low=0.0
     )
+    face_size_max: float = number(
+        2.5,
+        "maximum common deviation of the circle sizes from the membrane under a wide face without "
+        "a pressure sensor, in standard deviations of `drift_jitter`: the plane's height is wrong",
+        "plates of 35 to 70 mm: errors above 10 % have 2.7 to 6.5, others up to 2.6",
+        low=0.0,
+    )
     face_change: float = number(
         10.0,
         "negative logarithm of the prior probability that the camera changes in an image under "
