@@ -6,6 +6,7 @@ All in ragged arrays.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,13 +140,18 @@ class NeighborMarkers:
         """Return a mask of the band pixels (P,) at least `margin` px from every neighbor's edge."""
         clear = np.ones(len(u), dtype=bool)
         grown = ellipse.inverse_shape(self.shape + [self.margin, 0.0, self.margin])
-        for column in self.near.T:
-            some = np.flatnonzero(np.repeat(column >= 0, counts))
-            at = np.repeat(column, counts)[some]
-            dx = u[some] - self.center[at, 0]
-            dy = v[some] - self.center[at, 1]
-            p, q, s = grown[at].T
-            clear[some] &= (p * dx + q * dy) ** 2 + (q * dx + s * dy) ** 2 > 1
+        marker, column = np.nonzero(self.near >= 0)
+        own = counts[marker]  # pixels of each pair of a marker and a neighbor
+        before = np.cumsum(own) - own
+        first = (np.cumsum(counts) - counts)[marker]
+        pixel = np.arange(int(own.sum())) + np.repeat(first - before, own)
+        neighbor = self.near[marker, column]
+        cu, cv = np.repeat(self.center[neighbor].T, own, axis=1)
+        p, q, s = np.repeat(grown[neighbor].T, own, axis=1)
+        dx = u[pixel] - cu
+        dy = v[pixel] - cv
+        dark = (p * dx + q * dy) ** 2 + (q * dx + s * dy) ** 2 <= 1
+        clear[pixel[dark]] = False
         return clear
 
 
@@ -158,5 +164,5 @@ def pairs_within(points: Array, centers: Array, radii: Array) -> tuple[NDArray, 
     found = KDTree(points).query_ball_point(centers, radii)
     counts = np.fromiter(map(len, found), np.int64, len(found))
     i = np.repeat(np.arange(len(found)), counts)
-    j = np.fromiter((k for row in found for k in row), np.int64, int(counts.sum()))
+    j = np.fromiter(chain.from_iterable(found), np.int64, int(counts.sum()))
     return i[i != j], j[i != j]
