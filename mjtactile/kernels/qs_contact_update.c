@@ -13,6 +13,7 @@
 #define LEAN_OVER 0.3      /* distance for the inclination of a thin obstacle, spacings */
 #define HALF_A_CELL 0.55    /* limit of half a cell, spacings: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* maximum distance of an edge from its node, spacings */
+#define BEHIND 1.0          /* height of another obstacle above a face, spacings, from which on the face ends */
 #define SAME 1e-9           /* tolerance for equal heights, m */
 #define STRAIGHT 1e-12      /* tolerance for three points on a line, m */
 /* height difference above which the lowest point is certainly at the end, m */
@@ -22,13 +23,14 @@
 #define ROUND_ABOUT 1
 
 long qs_contact_size(const Membrane *f) {
-    return (1 + 1 + 2 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + QS_FLOORS * QS_PLANES;
+    return (1 + 1 + 2 + 1 + 1 + 2 + 4 + 4 + 1 + 1 + 1) * f->count + 2 * (f->count / 8) + QS_FLOORS * QS_PLANES;
 }
 
 ContactNodes qs_last_contact(const Membrane *f, double **room) {
     const long n = f->count;
     ContactNodes s = {.floors = -1};
     s.obstacle = qs_take(room, n), s.level = qs_take(room, n), s.slope = qs_take(room, 2 * n), s.lower = qs_take(room, n);
+    s.owner = qs_take(room, n);
     s.away = qs_take(room, 2 * n), s.edge = qs_take(room, 4 * n), s.spring = qs_take(room, 4 * n);
     s.along_x = qs_take(room, n), s.along_y = qs_take(room, n), s.cell = qs_take(room, n);
     s.planes = qs_take(room, QS_FLOORS * QS_PLANES);
@@ -243,7 +245,9 @@ void evaluate_obstacles(const Membrane *f, const Bodies *bodies, const double *x
             double slope[2] = {0, 0};
             int axis = 0; /* stored in `edge`, which is computed later */
             double away = 0;
-            const int off_all = lowest(f, bodies, at_x, at_y, seen->obstacle + k, slope);
+            const long owner = lowest_of(f, bodies, at_x, at_y, seen->obstacle + k, slope);
+            const int off_all = owner < 0;
+            seen->owner[k] = (double)owner;
             const int taken = (i && ((int)seen->edge[k - f->line] & 1)) | (j && ((int)seen->edge[k - 1] & 2)) << 1;
             if (off_all && thin) axis = evaluate_between_nodes(f, bodies, at_x, at_y, taken, seen->obstacle + k, slope, &away);
             seen->away[k] = axis == 1 ? away * f->dx : 0, seen->away[f->count + k] = axis == 2 ? away * f->dy : 0;
@@ -284,6 +288,31 @@ static double inclination_of(const Membrane *f, const Bodies *bodies, const doub
     return ends > 0 ? lean / ends : 0;
 }
 
+/* Return 1 if an obstacle `owner` of a `height` is next to node `k` at a distance `along` x or y of
+   its obstacle. A wall behind an edge is not: another obstacle far above the extended face. */
+static int is_next(const Membrane *f, const ContactNodes *seen, long k, long owner, double height, const double along[2]) {
+    if (seen->owner[k] < 0 || owner == (long)seen->owner[k]) return 1;
+    const double face = seen->obstacle[k] + seen->slope[k] * along[0] + seen->slope[f->count + k] * along[1];
+    return height - face <= BEHIND * max_of(f->dx, f->dy);
+}
+
+/* Return 1 if the obstacle at a node continues to its neighbor at a side. */
+static int continues(const Membrane *f, const ContactNodes *seen, long k, int side) {
+    const long other = k + qs_next(f, side);
+    const double along[2] = {side < 2 ? (side ? -f->dx : f->dx) : 0, side < 2 ? 0 : (side == 3 ? -f->dy : f->dy)};
+    const long owner = (long)seen->owner[other];
+    return isfinite(seen->obstacle[other]) && (owner < 0 || is_next(f, seen, k, owner, seen->obstacle[other], along));
+}
+
+/* Return 1 if the obstacle at node `k` continues to a fraction of the `way` from `at`. */
+static int continues_to(const Membrane *f, const Bodies *bodies, const ContactNodes *seen, long k, const double at[2], double fraction,
+                        const double way[2]) {
+    const double along[2] = {fraction * way[0], fraction * way[1]};
+    double height, slope[2];
+    const long owner = lowest_of(f, bodies, at[0] + along[0], at[1] + along[1], &height, slope);
+    return owner >= 0 && is_next(f, seen, k, owner, height, along);
+}
+
 /* Find the edges of obstacles between a node on an obstacle and its neighbors at +x, -x, +y and -y
    that are not: the fraction of the distance. It is negative if both are on an obstacle. */
 void find_edges(const Membrane *f, const Bodies *bodies, const double *x, long k, int halves, ContactNodes *seen) {
@@ -294,16 +323,16 @@ void find_edges(const Membrane *f, const Bodies *bodies, const double *x, long k
     for (int side = 0; side < 4; side++) {
         const long other = k + qs_next(f, side);
         seen->edge[side * count + k] = -1;
-        if (isfinite(seen->obstacle[other]) || !is_over_obstacle(f, bodies, at[0], at[1])) continue;
+        if (continues(f, seen, k, side) || !is_over_obstacle(f, bodies, at[0], at[1])) continue;
         double way[2] = {side < 2 ? (side ? -1 : 1) * f->dx + x[other] - x[k] : 0,
                                side < 2 ? 0 : (side == 3 ? -1 : 1) * f->dy + x[count + other] - x[count + k]};
         if (thin) way[side < 2] += inclination_of(f, bodies, at, side >= 2) * (side % 2 ? -1 : 1) * (side < 2 ? f->dy : f->dx);
         /* the obstacle continues under the next line of nodes */
-        if (thin && is_over_obstacle(f, bodies, at[0] + way[0], at[1] + way[1])) continue;
+        if (thin && continues_to(f, bodies, seen, k, at, 1, way)) continue;
         double low = 0, high = 1;
         for (int half = 0; half < halves; half++) {
             const double middle = (low + high) / 2;
-            if (is_over_obstacle(f, bodies, at[0] + middle * way[0], at[1] + middle * way[1])) low = middle;
+            if (continues_to(f, bodies, seen, k, at, middle, way)) low = middle;
             else high = middle;
         }
         seen->edge[side * count + k] = low;
@@ -359,8 +388,8 @@ void correct_round_obstacles(const Membrane *f, ContactNodes *seen) {
             const long k = i * rows + j;
             if (!isfinite(h[k])) continue;
             double bend = 0;
-            if (isfinite(h[k - rows] + h[k + rows])) bend += h[k - rows] + h[k + rows] - 2 * h[k];
-            if (isfinite(h[k - 1] + h[k + 1])) bend += h[k - 1] + h[k + 1] - 2 * h[k];
+            if (continues(f, seen, k, 0) && continues(f, seen, k, 1)) bend += h[k - rows] + h[k + rows] - 2 * h[k];
+            if (continues(f, seen, k, 2) && continues(f, seen, k, 3)) bend += h[k - 1] + h[k + 1] - 2 * h[k];
             const double steep = 1 + square(seen->slope[k]) + square(seen->slope[f->count + k]);
             /* surface curvature: independent of the slope */
             seen->lower[k] = CORRECTION * max_of(bend, 0) / (steep * sqrt(steep));
@@ -409,9 +438,8 @@ void sum_contact(const Membrane *f, const double *x, const double *force, double
                 found[TORQUE_X + c] += r[(c + 1) % 3] * F[(c + 2) % 3] - r[(c + 2) % 3] * F[(c + 1) % 3];
             }
             const double cell = seen->cell[k];
-            const double flanks = h[k - 1] + h[k + 1] + h[k - rows] + h[k + rows];
             double fraction;
-            if (isfinite(flanks)) {
+            if (continues(f, seen, k, 0) && continues(f, seen, k, 1) && continues(f, seen, k, 2) && continues(f, seen, k, 3)) {
                 const double bend = (h[k - rows] + h[k + rows] - 2 * h[k]) / square(f->dx) + (h[k - 1] + h[k + 1] - 2 * h[k]) / square(f->dy);
                 const double steep = 1 + slope[0] * slope[0] + slope[1] * slope[1];
                 const double face_force = cell * (found[PRESSURE] + found[TENSION] * bend / (steep * sqrt(steep)));

@@ -42,6 +42,7 @@ int qs_faces_height(const Membrane *membrane, const Obstacle *body, const double
 typedef struct {
     /* heights, see `extrapolate_obstacles`, slopes (2, count), correction */
     double *obstacle, *level, *slope, *lower;
+    double *owner; /* number of the obstacle over a node; -1: none, or a thin one next to it */
     double *away; /* (2, count), m: from a node to a thin obstacle that was moved under it */
     double *edge, *spring;                    /* (4, count): see `find_edges` and `find_springs` */
     double *along_x, *along_y;                /* links of the membrane, see qs_elasticity.h */

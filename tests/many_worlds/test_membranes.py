@@ -84,6 +84,28 @@ def test_a_ball_and_a_box_press_as_on_the_cpu():
     assert pressure == pytest.approx(gauge, rel=1e-3)
 
 
+# The wall is over the nodes beyond the block's edges. It is out of reach at 4.5 mm, and carries a
+# part of the load at 0.5 mm.
+@pytest.mark.parametrize("gap", [0.5e-3, 4.5e-3])
+def test_a_block_in_front_of_a_wall_presses_as_on_the_cpu(gap):
+    membranes = Membranes("dense", 1, slots=2, device="cpu", iteration=EXACT)
+    membrane = membranes.membrane
+    low = float(membrane.rest.x[2].max()) - 1e-3
+    block = (0.004, 0.006, 0.003), (0.001, 0.0, low + 0.003)
+    wall = (0.05, 0.05, 0.003), (0.0, 0.0, low + gap + 0.003)
+    geoms = membranes.geoms.numpy().copy()
+    for g, (size, p) in enumerate((block, wall)):
+        geoms["kind"][0, g] = BOX
+        geoms["size"][0, g], geoms["p"][0, g], geoms["R"][0, g] = size, p, UPRIGHT
+    membranes.geoms.assign(geoms)
+    membranes.solve()
+    obstacles = [membrane.obstacle("box", size, p) for size, p in (block, wall)]
+    exact = membrane.solve(obstacles).force_normal
+    alone = membrane.solve(obstacles[0]).force_normal
+    assert (exact > 1.05 * alone) == (gap < 1e-3)
+    assert membranes.fields.force.numpy().sum() == pytest.approx(exact, rel=5e-3)
+
+
 @pytest.mark.slow(40)
 @pytest.mark.parametrize("depth", [0.5e-3, 1.5e-3, 2.5e-3])
 def test_forces_of_all_shapes(depth):

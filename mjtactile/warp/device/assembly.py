@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from mjtactile.warp.device.edges import face_rise, side_step
+from mjtactile.warp.device.edges import continues, face_rise, side_step
 from mjtactile.warp.device.elasticity import node_load
 from mjtactile.warp.device.fields import Fields
 from mjtactile.warp.device.grid import MembraneGrid, node_at
@@ -21,19 +21,22 @@ _CORRECTION = wp.constant(1.0 / 24.0)  # factor of X4, round obstacles
 
 
 @wp.func
-def _bend(center: float, first: float, other: float) -> float:
+def _bend(membrane: MembraneGrid, fields: Fields, f: int, k: int, axis: int) -> float:
+    """Return the second difference of the obstacle's height along an axis, m, 0 at its end."""
     found = float(0.0)
-    if is_on(first) and is_on(other):
-        found = first + other - 2.0 * center
+    if continues(membrane, fields, f, k, 2 * axis) and continues(
+        membrane, fields, f, k, 2 * axis + 1
+    ):
+        step = side_step(2 * axis, membrane.ny)
+        found = fields.height[f, k + step] + fields.height[f, k - step]
+        found -= 2.0 * fields.height[f, k]
     return found
 
 
 @wp.func
 def _height_correction(membrane: MembraneGrid, fields: Fields, f: int, k: int) -> float:
     """Return the height by which a round obstacle is lowered at an inner node (X4), m."""
-    h = fields.height[f, k]
-    bend = _bend(h, fields.height[f, k - membrane.ny], fields.height[f, k + membrane.ny])
-    bend += _bend(h, fields.height[f, k - 1], fields.height[f, k + 1])
+    bend = _bend(membrane, fields, f, k, 0) + _bend(membrane, fields, f, k, 1)
     sx = fields.slope_x[f, k]
     sy = fields.slope_y[f, k]
     steep = 1.0 + sx * sx + sy * sy

@@ -6,7 +6,7 @@ import warp as wp
 
 from mjtactile.warp.device.fields import Fields
 from mjtactile.warp.device.grid import MembraneGrid, node_at
-from mjtactile.warp.device.lowest_obstacle import is_covered, lean
+from mjtactile.warp.device.lowest_obstacle import is_covered, lean, lowest
 from mjtactile.warp.device.obstacles import Geom, is_on
 from mjtactile.warp.device.relaxation import synchronize
 
@@ -14,6 +14,8 @@ wp.set_module_options({"enable_backward": False})
 
 _HALVINGS = wp.constant(12)  # halvings of a spacing in the search for an edge
 _NEAREST_EDGE = wp.constant(0.95)
+# height of another obstacle above a face, spacings, from which on the face ends
+_BEHIND = wp.constant(1.0)
 
 
 @wp.func
@@ -39,6 +41,61 @@ def face_rise(membrane: MembraneGrid, fields: Fields, f: int, k: int, side: int)
 
 
 @wp.func
+def _is_next(
+    membrane: MembraneGrid,
+    fields: Fields,
+    f: int,
+    k: int,
+    owner: int,
+    height: float,
+    along: wp.vec2,
+) -> bool:
+    """Return True if an obstacle is next to node `k`, at a distance `along` x and y.
+
+    A wall behind an edge is not: another obstacle far above the extended face.
+    """
+    face = fields.height[f, k] + fields.slope_x[f, k] * along[0] + fields.slope_y[f, k] * along[1]
+    far = height - face > _BEHIND * wp.max(membrane.dx, membrane.dy)
+    is_thin = fields.away[f, 0, k] != 0.0 or fields.away[f, 1, k] != 0.0
+    return owner == fields.owner[f, k] or is_thin or not far
+
+
+@wp.func
+def continues(membrane: MembraneGrid, fields: Fields, f: int, k: int, side: int) -> bool:
+    """Return True if the obstacle at a node continues to its neighbor."""
+    other = k + side_step(side, membrane.ny)
+    along = wp.vec2(membrane.dx, 0.0)
+    if side > 1:
+        along = wp.vec2(0.0, membrane.dy)
+    along = along * (1.0 - 2.0 * float(side % 2))
+    height = fields.height[f, other]
+    is_thin = fields.away[f, 0, other] != 0.0 or fields.away[f, 1, other] != 0.0
+    found = is_on(height)
+    if found and not is_thin:
+        found = _is_next(membrane, fields, f, k, fields.owner[f, other], height, along)
+    return found
+
+
+@wp.func
+def _continues_to(
+    membrane: MembraneGrid,
+    geoms: wp.array2d(dtype=Geom),
+    pool: wp.array(dtype=wp.vec4),
+    fields: Fields,
+    f: int,
+    k: int,
+    at: wp.vec2,
+    along: wp.vec2,
+) -> bool:
+    """Return True if the obstacle at node `k` continues from `at` to `at` + `along`."""
+    seen = lowest(membrane, geoms, pool, f, at[0] + along[0], at[1] + along[1])
+    found = is_on(seen[0])
+    if found:
+        found = _is_next(membrane, fields, f, k, int(seen[3]), seen[0], along)
+    return found
+
+
+@wp.func
 def _edge(
     membrane: MembraneGrid,
     geoms: wp.array2d(dtype=Geom),
@@ -51,12 +108,12 @@ def _edge(
 ) -> float:
     """Return the fraction of the link to a neighbor at which the obstacle of node `k` ends, or -1.
 
-    -1: the neighbor is on an obstacle, or the node is not.
+    -1: the obstacle continues to the neighbor, or the node is on none.
     """
     ny = membrane.ny
     other = k + side_step(side, ny)
     found = float(-1.0)
-    if is_on(fields.height[f, k]) and not is_on(fields.height[f, other]):
+    if is_on(fields.height[f, k]) and not continues(membrane, fields, f, k, side):
         a = node_at(membrane, fields.u, f, k // ny, k % ny)
         b = node_at(membrane, fields.u, f, other // ny, other % ny)
         at = wp.vec2(a[0] + fields.away[f, 0, k], a[1] + fields.away[f, 1, k])
@@ -71,13 +128,13 @@ def _edge(
             else:
                 link[1] = drift * membrane.dy
             # the obstacle continues under the next line of nodes
-            is_edge = not is_covered(membrane, geoms, pool, f, at + link)
+            is_edge = not _continues_to(membrane, geoms, pool, fields, f, k, at, link)
         if is_edge:
             low = float(0.0)
             high = float(1.0)
             for _half in range(_HALVINGS):
                 midpoint = 0.5 * (low + high)
-                if is_covered(membrane, geoms, pool, f, at + midpoint * link):
+                if _continues_to(membrane, geoms, pool, fields, f, k, at, midpoint * link):
                     low = midpoint
                 else:
                     high = midpoint
@@ -168,7 +225,11 @@ def contact_area(
     high_y = fields.height[f, k + 1]
     cell = fields.swell[f, k]
     fraction = float(1.0)
-    if is_on(low_x) and is_on(high_x) and is_on(low_y) and is_on(high_y):
+    is_covered_around = int(1)
+    for side in range(4):
+        if not continues(membrane, fields, f, k, side):
+            is_covered_around = 0
+    if is_covered_around > 0:
         bend = (low_x + high_x - 2.0 * h) / (membrane.dx * membrane.dx)
         bend += (low_y + high_y - 2.0 * h) / (membrane.dy * membrane.dy)
         full = cell * (fields.pressure[f] + tension * bend / (square * wp.sqrt(square)))
