@@ -111,13 +111,15 @@ class ContactShapeEstimator:
             text = "no shape model fits"
             return Found(_unknown(Status(StatusCode.FIT_FAILED, text)), None, None)
         scale = max(s.noise_min, press.now.misfit)
+        if press.images == 0:  # the object is the same until the next evaluation
+            press = replace(press, other=deviation(self.forward, press.now, data, scale))
         track = tracked(track, press.now, touch.time, rubber, scale, s)
         assert touch.contact is not None
         position = np.array(touch.contact.centroid)
         press = replace(
             press, track=track, reported=self._kind(press, before, data.force, position)
         )
-        shape = self._result(press, data, scale, slips(touch))
+        shape = self._result(press, scale, slips(touch))
         if shape.kind == "unknown" or touch.traction is None:
             return Found(shape, None, press)
         return Found(
@@ -163,7 +165,7 @@ class ContactShapeEstimator:
         unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
         return ReportedKind("unknown" if unexplained else kind, force, position)
 
-    def _result(self, press: PressHistory, data: Data, scale: float, sliding: bool) -> ContactShape:
+    def _result(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
         s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
@@ -180,7 +182,7 @@ class ContactShapeEstimator:
             total = sum(areas(self.forward, found, s))
             weighed.append((probability, total, area_sd(found, total, scale, s)))
         spread = scale * press.candidates[0].common.variance_factor
-        other = deviation(self.forward, press.now, data, scale)
+        other = press.other
         if other is not None:
             weighed[0] = other.with_area(*weighed[0])
         growth = press.candidates[0].common.growth

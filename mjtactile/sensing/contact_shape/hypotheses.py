@@ -15,6 +15,7 @@ from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
+from mjtactile.sensing.contact_shape.quadric_deviation import Deviation
 from mjtactile.sensing.contact_shape.relative_motion import Track
 from mjtactile.sensing.contact_shape.shape_filter import ShapeFilter
 from mjtactile.sensing.contact_shape.shape_models import ShapeModel, kinds_of
@@ -108,6 +109,7 @@ class PressHistory:
         track: Poses of the shape in the last images.
         dropped: Models that were dropped, in their last state.
         reported: Reported kind, and the load with which it was chosen.
+        other: Deviation of the object from the reported model, at the last evaluation.
     """
 
     candidates: tuple[Candidate, ...]
@@ -121,6 +123,7 @@ class PressHistory:
     track: Track = ()
     dropped: tuple[Candidate, ...] = ()
     reported: ReportedKind | None = None
+    other: Deviation | None = None
 
     @cached_property
     def probabilities(self) -> Array:
