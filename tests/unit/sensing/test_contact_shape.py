@@ -217,9 +217,11 @@ def test_a_press_is_followed_for_some_solutions_an_image(sensor, fine_membrane, 
     press = None
     for touch in touches:
         counts.append(0)
-        found = finder.follow(touch, press, p_rest)
+        before, found = press, finder.follow(touch, press, p_rest)
         press = found.press
     assert 4 < counts[0] < 30
+    # an object deviates from its model as it did when all models were evaluated
+    assert press.images > 0 and press.other is before.other is not None
     # one or two for the steps, and at most one with new slopes
     assert max(counts[2:]) <= 3
     assert found.shape.kind == "smooth"
