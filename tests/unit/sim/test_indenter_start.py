@@ -49,3 +49,19 @@ def test_an_indenter_that_reaches_the_frame_first_is_refused():
     world.inflate(world.design.chamber.supply_gauge, seal=True)
     with pytest.raises(InputError, match="touches the frame before the membrane"):
         world.press(0.5e-3)
+
+
+def test_a_steady_load_is_settled_while_single_vertices_move():
+    """Off center, vertices at the contact's edge keep moving at 0.4 mm/s; the force is steady."""
+    world = PressWorld("dense", Indenter("sphere", 4e-3), at=(14e-3, 5e-3), mesh=(25, 21))
+    world.inflate(world.design.chamber.supply_gauge, seal=True)
+    assert world.press(3e-3)
+    assert "unsettled" not in world.flags
+    forces = []
+    fastest = 0.0
+    for _ in range(50):  # 0.2 s
+        world.step()
+        forces.append(ground_truth.contact_force(world, 0)[2])
+        fastest = max(fastest, float(np.abs(world.data.qvel).max()))
+    assert fastest > 2e-4  # the speed limit of a settled membrane
+    assert np.ptp(forces) < 5e-3 * abs(np.mean(forces))
