@@ -194,7 +194,7 @@ def _tuple(items: tuple[Any, ...]) -> _Kind:
 def _sequence(kind: type, items: tuple[Any, ...]) -> _Kind:
     """Return the check of a sequence, and of its items where this does not consume it."""
     item = _kind(items[0]) if items else _ANY
-    name = f"a sequence, each {item.name}" if item.name else "a sequence"
+    name = f"a list or another sequence, each item {item.name}" if item.name else "a sequence"
 
     def accept(value: Any) -> bool:
         if not isinstance(value, kind) or isinstance(value, (str, bytes, Mapping)):

@@ -78,6 +78,7 @@ _NEEDED = {
 NEEDED_FLAGS = sum(int(flag) for flag in _NEEDED)
 """Bits of `disableflags` that must be 0."""
 _WALLS = 24  # boxes around an outline: 0.1 mm deviation for 30 mm
+_MAX_GRAVITY = 1000.0  # m/s^2: a centrifuge of 100 g
 _MIN_MEMORY = 1 << 24  # bytes
 
 
@@ -273,6 +274,7 @@ def check_options(option: Any, *, source: str) -> None:
             f"{low:g} to {high:g} s",
             "contact forces are wrong outside this range",
         )
+    _check_gravity(option, source)
     if option.jacobian == mujoco.mjtJacobian.mjJAC_DENSE:
         refuse(
             "jacobian", "dense", "sparse or auto", "a membrane has hundreds of degrees of freedom"
@@ -291,6 +293,14 @@ def check_options(option: Any, *, source: str) -> None:
         refuse(
             "flag", "override enabled", "disabled", "the membrane needs its own contact stiffness"
         )
+
+
+def _check_gravity(option: Any, source: str) -> None:
+    """Raise InputError for the gravity of a scene in mm."""
+    gravity = float(np.linalg.norm(option.gravity))
+    if gravity > _MAX_GRAVITY:
+        text = f"is {gravity:g} m/s2, must be at most {_MAX_GRAVITY:g}: lengths are in m, not in mm"
+        raise InputError(text, source=source, field="option.gravity")
 
 
 def _site(spec: mujoco.MjSpec, site: mujoco.MjsSite | str) -> mujoco.MjsSite:

@@ -37,6 +37,7 @@ def scene():
         ("timestep", float("nan"), ["timestep", "nan"]),
         ("jacobian", mujoco.mjtJacobian.mjJAC_DENSE, ["jacobian", "dense", "sparse"]),
         ("noslip_iterations", 3, ["noslip_iterations", "3"]),
+        ("gravity", [0.0, 0.0, -9810.0], ["gravity", "9810 m/s2", "in m, not in mm"]),
     ],
 )
 def test_options_that_cannot_carry_a_membrane_are_refused(option, value, words):

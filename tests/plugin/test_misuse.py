@@ -75,7 +75,9 @@ def test_a_finger_is_given_once_and_is_a_finger(bound):
     _, _, model, data, finger = bound
     with pytest.raises(InputError, match="fingers: each finger must be given once"):
         mjtactile.step(model, data, [finger, finger])
-    with pytest.raises(InputError, match=r"step: fingers: .* not a sequence, each a SimFinger"):
+    with pytest.raises(
+        InputError, match=r"step: fingers: .* not a list or another sequence, each item a SimFinger"
+    ):
         mjtactile.step(model, data, [None])
 
 
