@@ -24,7 +24,7 @@ CHECKS = ["address", "undefined", "float-cast-overflow"]
 TESTS = [
     "tests/unit/kernels/test_random_arguments.py",
     "tests/unit/kernels",
-    "tests/unit/film",
+    "tests/unit/quasistatic",
     "tests/unit/sensing",
     # those take the same ways through the kernels, with more and larger images
     "-m",
