@@ -55,11 +55,21 @@ def build_shape(
 
 
 def _with_unequal(shape: ContactShape, other: Deviation) -> ContactShape:
-    """Return a ball with the two curvatures of its deviation `other`."""
+    """Return a ball with the two curvatures of its deviation `other`, and their direction."""
     mean = shape.curvatures[0]
-    half = min(float(np.hypot(*other.unequal)), mean)  # not concave
+    on_axes, on_diagonals = other.unequal
+    bent = np.array([0, 0, 0, mean + on_axes, on_diagonals, mean - on_axes])
+    maximum, minimum, direction = principal(bent)
     sd = math.hypot(shape.curvatures_sd[0], other.unequal_sd)
-    return replace(shape, curvatures=(mean + half, mean - half), curvatures_sd=(sd, sd))
+    ratio = other.unequal_sd / max(maximum - mean, 1e-9)
+    return replace(
+        shape,
+        curvatures=(maximum, max(minimum, 0.0)),
+        curvatures_sd=(sd, sd),
+        direction=direction,
+        direction_sd=min(ratio / 2, _UNKNOWN_DIRECTION_SD),
+        R_SO=about(2, direction) @ shape.R_SO,
+    )
 
 
 def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Array:

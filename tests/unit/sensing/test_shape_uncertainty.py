@@ -14,6 +14,7 @@ from mjtactile.sensing.contact_shape.initial_search import Suggestions
 from mjtactile.sensing.contact_shape.random_presses import GROUPS
 from mjtactile.sensing.contact_shape.shape_models import FAMILIES, SHARP
 from mjtactile.sensing.contact_shape.shape_result import (
+    _with_unequal,
     with_curvature_spread,
     with_position_spread,
     with_tip,
@@ -74,6 +75,17 @@ def test_another_round_model_widens_the_curvatures():
     assert shape.radius_sd == pytest.approx(3e-4 * grown)
     flat = replace(round_shape(), family="disc")
     assert with_curvature_spread(flat, fits) is flat
+
+
+def test_unequal_curvatures_have_their_direction():
+    """The larger curvature is along the diagonal, the smaller one across."""
+    other = SimpleNamespace(unequal=np.array([0.0, 20.0]), unequal_sd=4.0)
+    shape = _with_unequal(round_shape(R_SO=np.eye(3)), other)
+    assert shape.curvatures == pytest.approx((120.0, 80.0))
+    assert shape.curvatures_sd == pytest.approx((5.0, 5.0))
+    assert shape.direction == pytest.approx(0.75 * np.pi)
+    assert shape.direction_sd == pytest.approx(0.1)
+    assert shape.R_SO[:, 0] == pytest.approx([-np.sqrt(0.5), np.sqrt(0.5), 0.0])
 
 
 def test_a_probably_sharp_contact_has_no_certain_curvature():
