@@ -43,13 +43,18 @@ REQUIREMENTS = {
 
 
 def run(
-    out: Path, *, quick: bool = False, notify: Callable[[str], None] = lambda _: None
+    out: Path,
+    *,
+    quick: bool = False,
+    pairs: int | None = None,
+    notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Measure agreement and, on a GPU, speed, memory and failures.
 
     Args:
         out: Folder of PAIRS_FILE. An interrupted run continues with the pairs that it lacks.
         quick: Two pairs of episodes, and the smallest number of worlds.
+        pairs: Number of paired episodes of random objects (None: PAIRS).
         notify: Receiver of progress messages.
 
     Returns:
@@ -74,7 +79,7 @@ def run(
     eggs = 2 if quick else 4
     parts.insert(0, ("pairs", lambda: paired("egg", eggs, eggs)))
     if not quick:
-        count, batch = PAIRS[device.is_cuda], BATCH[device.is_cuda]
+        count, batch = pairs or PAIRS[device.is_cuda], BATCH[device.is_cuda]
         parts.insert(2, ("pairs", lambda: paired(RANDOM, count, batch)))
     parts += [
         ("presses", lambda kind=kind: press_objects(kind, PRESSES[quick], str(device)))

@@ -119,7 +119,7 @@ OPTIONS = {
     "cases": ("references",),
     "data": ("bubble", "dots"),
     "baseline": ("speed",),
-    "pairs": ("no-images", "learning", "meshless"),
+    "pairs": ("gpu", "no-images", "learning", "meshless"),
     "episodes": ("tasks", "slip", "emulated", "suite-v2", "friction"),
     "sensor": ("error-model",),
 }
@@ -157,7 +157,9 @@ ARGUMENTS = (
         "recorded (--parts soak: only the long run, two hours)",
         type=float,
     ),
-    arg.option("--pairs N", "no-images, learning, meshless: number of pairs of episodes", type=int),
+    arg.option(
+        "--pairs N", "gpu, no-images, learning, meshless: number of pairs of episodes", type=int
+    ),
     arg.option(
         "--episodes N",
         "tasks, slip: episodes of each kind (default: 200; suite-v2: 24, friction: 12); emulated: "
