@@ -15,6 +15,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from mjtactile import Scenario, action_from_commands
 from mjtactile.core import resources
@@ -29,14 +30,17 @@ NAME = "mjtactile/Grasp-v0"
 SEED = 4000
 RANDOM = "random"
 _STEPS = 520  # control steps of an episode
+_RATE = 30.0  # control steps per second
 _AFTER = (1.0, -0.75, -1.0)  # action after the last command: open
 
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """Grasp on the CPU: actions (steps, 3), mean ground-truth force in the hold, N, and outcome."""
+    """Grasp on the CPU: actions (steps, 3), commanded openings and lift heights (cycles, 2), m,
+    mean ground-truth force in the hold, N, and outcome."""
 
     actions: Array
+    commanded: Array
     held_force: float
     outcome: str
 
@@ -46,6 +50,7 @@ class _Commands(Observer):
 
     def __init__(self) -> None:
         self.actions: list[Array] = []
+        self.commanded: list[tuple[float, float]] = []
         self.forces: list[float] = []
         self._last: Command | None = None
         self._time = 0.0
@@ -53,10 +58,11 @@ class _Commands(Observer):
     def add(self, cycle: Cycle, view: Any = None, **truth: Any) -> None:
         sent = cycle.sent
         last = self._last or replace(cycle.last or sent, force_limit=sent.force_limit)
-        period = cycle.time - self._time if self.actions else 1 / 30
+        period = cycle.time - self._time if self.actions else 1 / _RATE
         self._time = cycle.time
         action = action_from_commands(last, sent, period)
         self.actions.append(action)
+        self.commanded.append((sent.opening, sent.lift_height))
         limit = last.force_limit if sent.force_limit is None else sent.force_limit
         opening = last.opening + OPENING_SPEED * period * action[0]
         lift = last.lift_height + LIFT_SPEED * period * action[2]
@@ -73,7 +79,7 @@ def on_the_cpu(scenario: Scenario) -> Grasp:
     count = min(len(commands.actions), _STEPS)
     actions[:count] = commands.actions[:count]
     force = float(np.mean(commands.forces)) if commands.forces else np.nan
-    return Grasp(actions, force, line["outcome"])
+    return Grasp(actions, np.array(commands.commanded[:count]), force, line["outcome"])
 
 
 def commands_of(name: str) -> Array:
@@ -209,12 +215,16 @@ def _known(force: float) -> float | None:
 
 
 def _replayed(many: Any, grasps: Sequence[Grasp], first: int) -> tuple[Array, Array]:
-    """Return the outcomes (n,) and mean forces in the hold (n,), N, of the same actions."""
+    """Return the outcomes (n,) and mean forces in the hold (n,), N, of the same commands.
+
+    Each action leads to the command of the CPU. A world that does not follow it in a cycle, since
+    its force is unknown there, follows it in the next one.
+    """
     count = len(grasps)
     many.reset(seed=first)
     outcomes, forces = np.full(count, "", object), np.full(count, np.nan)
     for step in range(_STEPS):
-        actions = np.stack([one.actions[step] for one in grasps]).astype(np.float32)
+        actions = _next_actions(grasps, step, *many.unwrapped.commands())
         _, _, terminated, truncated, _ = many.step(actions)
         is_first = (np.asarray(terminated) | np.asarray(truncated)) & (outcomes == "")
         if is_first.any():
@@ -224,6 +234,20 @@ def _replayed(many: Any, grasps: Sequence[Grasp], first: int) -> tuple[Array, Ar
         if (outcomes != "").all():
             break
     return outcomes, np.where(forces > 0, forces, np.nan)
+
+
+def _next_actions(
+    grasps: Sequence[Grasp], step: int, openings: Array, heights: Array
+) -> NDArray[np.float32]:
+    """Return the actions (n, 3) from the devices' commanded `openings` and `heights` (n,), m, to
+    the commands of the CPU."""
+    actions = np.stack([one.actions[step] for one in grasps]).astype(np.float32)
+    for k, one in enumerate(grasps):
+        if step < len(one.commanded):
+            opening, height = one.commanded[step]
+            actions[k, 0] = _RATE * (opening - openings[k]) / OPENING_SPEED
+            actions[k, 2] = _RATE * (height - heights[k]) / LIFT_SPEED
+    return actions.clip(-1, 1)
 
 
 def _one_size(folder: Path) -> Path:

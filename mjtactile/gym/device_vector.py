@@ -192,6 +192,10 @@ class DeviceVectorEnv(NotCopyable, gymnasium.vector.VectorEnv[Any, Any, Any]):
             "rejected_solutions": scores.rejected.numpy(),
         }
 
+    def commands(self) -> tuple[Array, Array]:
+        """Return the commanded openings and lift heights (num_envs,), m. Waits for the device."""
+        return self._grasps.commands()
+
     def close_extras(self, **kwargs: Any) -> None:
         """Close the simulation."""
         self._grasps.rig.close()

@@ -234,6 +234,10 @@ class Grasps:
         """Return the number (worlds,) of each world's phase. Waits for the device."""
         return self._commands.phase.numpy()
 
+    def commands(self) -> tuple[Array, Array]:
+        """Return the commanded openings and lift heights (worlds,), m. Waits for the device."""
+        return self._commands.opening.numpy(), self._commands.lift.numpy()
+
     # -- inside ---------------------------------------------------------------------------------
 
     def _run_physics(self) -> None:
