@@ -25,7 +25,8 @@ def folder(name: str) -> Path:
 
 def names(kind: str, suffix: str) -> list[str]:
     """Return the names that a user may give for files shipped in folder `kind`."""
-    return sorted(path.stem for path in folder(kind).glob(f"*{suffix}"))
+    # not by `glob`, whose open folder would be reported where a signal interrupts it
+    return sorted(path.stem for path in folder(kind).iterdir() if path.name.endswith(suffix))
 
 
 def find(name_or_path: str | Path, kind: str, suffix: str) -> Path:

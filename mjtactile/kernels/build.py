@@ -60,7 +60,12 @@ _OTHER_SETS = [("plain", set(), [])]
 
 
 def sources() -> list[Path]:
-    return sorted(FOLDER.glob("*.c"))
+    return _files(".c")
+
+
+def _files(suffix: str) -> list[Path]:
+    # not by `glob`, whose open folder would be reported where a signal interrupts it
+    return sorted(path for path in FOLDER.iterdir() if path.suffix == suffix)
 
 
 def this_platform() -> str:
@@ -140,7 +145,7 @@ def _processor_flags() -> set[str]:
 
 def _hash() -> str:
     text = hashlib.sha256(repr((_FLAGS, PLATFORMS, _ZIG_FLAGS)).encode())
-    for path in [*sources(), *sorted(FOLDER.glob("*.h"))]:
+    for path in [*sources(), *_files(".h")]:
         text.update(path.read_bytes())
     return text.hexdigest()[:12]
 
