@@ -330,7 +330,8 @@ class PressWorld(World):
 def _collide_with_frame(spec: mujoco.MjSpec, others: set[str]) -> None:
     """Add contact pairs of the sensor's housing, which is among the geoms `others`, and the
     indenter's geoms. MuJoCo ignores contacts of a body with the one that carries it."""
-    housing = [name for name in others if name.startswith("sensor/housing")]
+    # sorted: the order of a set of names, and so that of the contacts, differs between processes
+    housing = sorted(name for name in others if name.startswith("sensor/housing"))
     geoms = [geom for geom in spec.geoms if geom.name not in others]
     for number, geom in enumerate(geoms):
         if not (geom.contype or geom.conaffinity):
