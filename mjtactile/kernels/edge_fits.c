@@ -8,6 +8,7 @@
 
 #define N 10  /* parameters: center, shape, inside, outside, gradient, blur */
 #define SHAPE 5  /* the first of them: center and shape */
+#define OUTLIER_RMS 4  /* residual, in rms residuals, with half the weight in the fit of gamma */
 
 /* Settings in the order of `_fit_settings` in sensing/image/edge_fit.py. */
 typedef struct {
@@ -189,18 +190,24 @@ static double iterate(const Pixels *p, double *theta, const Settings *s, int rob
     return take_step(theta, H, right);
 }
 
-int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts, const float *x, const float *y, const float *observed,
-                  const double *settings, double *thetas, double *normals, double *sums) {
-    Settings s;
+/* Return the room for the largest of n `counts`, a multiple of 16; -1 if they do not sum to `all`. */
+static int64_t room_for(int64_t n, int64_t all, const int64_t *counts) {
     int64_t longest = 0, left = all;
-    memcpy(&s, settings, sizeof s);
     for (int64_t i = 0; i < n; i++) {
-        if (counts[i] < 1 || counts[i] > left) return REFUSED;
+        if (counts[i] < 1 || counts[i] > left) return -1;
         left -= counts[i];
         if (counts[i] > longest) longest = counts[i];
     }
-    if (left || !(s.stride >= 1 && s.stride < 1e9 && s.steps >= 0 && s.steps < 1000)) return REFUSED;
-    int64_t room = (longest + 15) / 16 * 16, stride = (int64_t)s.stride;
+    return left ? -1 : (longest + 15) / 16 * 16;
+}
+
+int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts, const float *x, const float *y, const float *observed,
+                  const double *settings, double *thetas, double *normals, double *sums) {
+    Settings s;
+    int64_t room = room_for(n, all, counts);
+    memcpy(&s, settings, sizeof s);
+    if (room < 0 || !(s.stride >= 1 && s.stride < 1e9 && s.steps >= 0 && s.steps < 1000)) return REFUSED;
+    int64_t stride = (int64_t)s.stride;
     float *work = malloc((16 * room + 16) * sizeof *work);
     if (!work) return NO_MEMORY;
     float *weighted = work + 12 * room, *some = work + 13 * room;
@@ -220,6 +227,84 @@ int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts, const float *x,
         for (int64_t k = 0; k < full.count; k++) kept += full.weight[k], plain += weighted[k];
         sums[4 * i] = kept, sums[4 * i + 1] = plain, sums[4 * i + 2] = sum_of_products(weighted, full.residual, full.count);
         sums[4 * i + 3] = moved;
+        x += counts[i], y += counts[i], observed += counts[i];
+    }
+    free(work);
+    return 0;
+}
+
+/* Camera with E = middle (L / middle)^(1/gamma) between gray level E and light L. Light is relative to
+   `middle`, and at least `darkest`. `robust`: outliers get less weight. */
+typedef struct {
+    double gamma, middle, darkest, robust;
+} Curve;
+
+/* Convert the model in light, whose residual is that of a black image, to gray levels. Column N of J
+   becomes the derivative by log gamma. */
+static void through_curve(const Pixels *p, const double *theta, const Curve *c) {
+    float over = (float)(1 / c->gamma), middle = (float)c->middle, darkest = (float)c->darkest;
+    float *restrict residual = p->residual, *restrict by_gamma = p->J + N * p->room, *restrict weight = p->weight;
+    const float *restrict observed = p->observed;
+    for (int64_t k = 0; k < p->count; k++) {
+        float light = max_float(-residual[k], darkest), bits = logf(light), level = expf(over * bits);
+        weight[k] = middle * over * level / light, by_gamma[k] = -middle * over * level * bits;
+        residual[k] = observed[k] - middle * level;
+    }
+    for (int i = 0; i < N; i++)
+        for (int64_t k = 0; k < p->count; k++) p->J[i * p->room + k] *= weight[k];
+    for (int i = SHAPE; i < SHAPE + 2; i++) {
+        double edge = theta[i] / c->middle, light = pow(edge, c->gamma);
+        float by_log = (float)(c->gamma * light * log(edge)), by_level = (float)(c->gamma * light / edge / c->middle);
+        float *restrict row = p->J + i * p->room;
+        for (int64_t k = 0; k < p->count; k++) by_gamma[k] += by_log * row[k], row[k] *= by_level;
+    }
+}
+
+/* Sum the normal equations of one marker: matrix H and, in `sums`, the products of the parameters with
+   residual and derivative by log gamma, then those of the derivative and the residual with both, the
+   sum of the weights. */
+static void gamma_sums(const Pixels *p, float *restrict weighted, double H[N][N], double *sums) {
+    const float *restrict weight = p->weight, *restrict residual = p->residual, *restrict by_gamma = p->J + N * p->room;
+    for (int i = 0; i <= N; i++) {
+        const float *restrict row = p->J + i * p->room;
+        for (int64_t k = 0; k < p->count; k++) weighted[k] = weight[k] * row[k];
+        for (int j = i; j < N; j++) H[i][j] = H[j][i] = sum_of_products(weighted, p->J + j * p->room, p->count);
+        double pull = sum_of_products(weighted, residual, p->count), mixed = sum_of_products(weighted, by_gamma, p->count);
+        if (i < N) sums[i] = pull, sums[N + i] = mixed;
+        else sums[2 * N] = mixed, sums[2 * N + 1] = pull;
+    }
+    double kept = 0;
+    for (int64_t k = 0; k < p->count; k++) weighted[k] = weight[k] * residual[k], kept += weight[k];
+    sums[2 * N + 2] = sum_of_products(weighted, residual, p->count), sums[2 * N + 3] = kept;
+}
+
+int64_t gamma_equations(int64_t n, int64_t all, const int64_t *counts, const float *x, const float *y, const float *observed,
+                        const double *curve, const double *thetas, double *normals, double *sums) {
+    Curve c;
+    int64_t room = room_for(n, all, counts);
+    memcpy(&c, curve, sizeof c);
+    if (room < 0) return REFUSED;
+    float *work = malloc((15 * room + 16) * sizeof *work);
+    if (!work) return NO_MEMORY;
+    float *black = work + 14 * room;
+    memset(black, 0, room * sizeof *black);
+    for (int64_t i = 0; i < n; i++) {
+        const double *theta = thetas + N * i;
+        double linear[N];
+        Pixels p = {counts[i], room, x, y, black, work, work + 11 * room, work + 12 * room};
+        memcpy(linear, theta, sizeof linear);
+        for (int j = SHAPE; j < SHAPE + 2; j++) linear[j] = pow(theta[j] / c.middle, c.gamma);
+        Edge e = edge_of(linear);
+        evaluate(&p, &e, 1);
+        p.observed = observed;
+        through_curve(&p, theta, &c);
+        double rms = sqrt(sum_of_products(p.residual, p.residual, p.count) / p.count);
+        float over = c.robust != 0 ? (float)(1 / (OUTLIER_RMS * rms)) : 0;
+        for (int64_t k = 0; k < p.count; k++) {
+            float t = p.residual[k] * over;
+            t *= t, p.weight[k] = 1 / (1 + t * t);
+        }
+        gamma_sums(&p, work + 13 * room, (double(*)[N])(normals + N * N * i), sums + (2 * N + 4) * i);
         x += counts[i], y += counts[i], observed += counts[i];
     }
     free(work);

@@ -1,4 +1,5 @@
-"""Ellipses by least squares on the pixels along their edges, in numpy: `fit_edges` of the kernels."""
+"""Ellipses by least squares on the pixels along their edges, in numpy: `fit_edges` and
+`gamma_equations` of the kernels."""
 
 from __future__ import annotations
 
@@ -6,9 +7,9 @@ import numpy as np
 
 from mjtactile.sensing.image import edge_fit
 from mjtactile.sensing.image.edge_bands import Pixels
-from mjtactile.sensing.image.edge_fit import PARAMETERS, normal_matrix
-from mjtactile.sensing.image.edge_model import model
+from mjtactile.sensing.image.edge_fit import PARAMETERS
 from mjtactile.sensing.settings import EdgeSettings
+from tests.numpy_pipeline.edge_model import model
 
 _DIAGONAL = np.arange(PARAMETERS)
 
@@ -16,7 +17,7 @@ _DIAGONAL = np.arange(PARAMETERS)
 def fit_pixels(pixels, theta, blur, steps, small, s: EdgeSettings):
     """As `edge_fit.fit_pixels`, with the same number of steps for all markers."""
     stride = max(1, int(pixels.counts.mean()) // edge_fit._PIXELS_FIRST)
-    some = pixels.every(stride)
+    some = _every(pixels, stride)
     J = np.empty((PARAMETERS, len(some.x)), np.float32)
     for k in range(steps):
         residual = some.observed - model(some, theta, J, small)
@@ -34,6 +35,48 @@ def fit_pixels(pixels, theta, blur, steps, small, s: EdgeSettings):
         theta[:] = _step(theta, H, right)
     sums = [pixels.sums(weight * residual**k) for k in range(3)]
     return H, np.stack([*sums, np.abs(theta - old)[:, :5].max(axis=1)], axis=1)
+
+
+def gamma_equations(pixels, theta, gamma, *, robust):
+    """As `gamma.equations`. Gray levels relative to 128 keep light of order one."""
+    edge = theta[:, 5:7] / 128
+    linear = theta.copy()
+    linear[:, 5:7] = edge**gamma
+    J = np.empty((PARAMETERS, len(pixels.x)), np.float32)
+    light = np.maximum(model(pixels, linear, J, small=True), 1e-6).astype(np.float32)
+    level = light ** np.float32(1 / gamma)
+    J *= np.float32(128 / gamma) * level / light
+    by_gamma = np.float32(-128 / gamma) * level * np.log(light)
+    for column, e in ((5, edge[:, 0]), (6, edge[:, 1])):
+        by_gamma += J[column] * pixels.spread(gamma * e**gamma * np.log(e))
+        J[column] *= pixels.spread(gamma * e ** (gamma - 1) / 128)
+    residual = pixels.observed - 128 * level
+    scale = 4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts)
+    weight = 1 / (1 + (residual / pixels.spread(scale)) ** 4) if robust else np.ones_like(residual)
+    columns = [residual * J, by_gamma * J]
+    sums = [pixels.sums(weight * column) for column in columns]
+    squares = [by_gamma**2, by_gamma * residual, residual**2, np.ones_like(residual)]
+    sums += [pixels.sums(weight * square)[None] for square in squares]
+    return normal_matrix(pixels, J, weight), np.concatenate(sums).T
+
+
+def normal_matrix(pixels, J, weight):
+    """Return J^T W J (n, 10, 10) of each marker."""
+    H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
+    WJ = J * weight
+    for i in range(PARAMETERS):
+        H[i, i:] = H[i:, i] = pixels.sums(WJ[i] * J[i:])
+    return H.transpose(2, 0, 1).copy()
+
+
+def _every(pixels, stride):
+    """Select every `stride`-th pixel of each marker."""
+    counts = -(-pixels.counts // stride)
+    starts = np.cumsum(counts) - counts
+    index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(
+        pixels.starts, counts
+    )
+    return Pixels(pixels.x[index], pixels.y[index], pixels.observed[index], counts)
 
 
 def _normal(pixels: Pixels, theta, J, residual, weight, blur):

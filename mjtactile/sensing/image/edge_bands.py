@@ -86,15 +86,6 @@ class Pixels:
         """Repeat per-marker `values` (..., n) for each pixel, (..., P)."""
         return np.repeat(values.astype(np.float32), self.counts, axis=-1)
 
-    def every(self, stride: int) -> Pixels:
-        """Select every `stride`-th pixel of each marker."""
-        counts = -(-self.counts // stride)
-        starts = np.cumsum(counts) - counts
-        index = (np.arange(counts.sum()) - np.repeat(starts, counts)) * stride + np.repeat(
-            self.starts, counts
-        )
-        return Pixels(self.x[index], self.y[index], self.observed[index], counts)
-
 
 @dataclass(frozen=True)
 class NeighborMarkers:

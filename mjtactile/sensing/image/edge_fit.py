@@ -11,7 +11,7 @@ the outward distance and kappa the edge curvature. The blurred curved edge has i
 further inward. In the paper's geometry this changes the depth by 41 um. For small markers F is
 integrated. Ten parameters per marker: center, shape, inside, outside, gradient g of the light,
 sigma. The solver is Gauss-Newton with robust weights. The arithmetic is in
-mjtactile/kernels/edge_fits.c; `edge_model` has the model in numpy.
+mjtactile/kernels/edge_fits.c.
 """
 
 from __future__ import annotations
@@ -225,15 +225,6 @@ def gather(
         used,
         origin,
     )
-
-
-def normal_matrix(pixels: Pixels, J: NDArray, weight: NDArray) -> Array:
-    """Return J^T W J (n, 10, 10) of each marker."""
-    H = np.empty((PARAMETERS, PARAMETERS, len(pixels.counts)))
-    WJ = J * weight
-    for i in range(PARAMETERS):
-        H[i, i:] = H[i:, i] = pixels.sums(WJ[i] * J[i:])
-    return H.transpose(2, 0, 1).copy()
 
 
 def _result(

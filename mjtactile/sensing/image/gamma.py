@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.core.types import Array, Ellipses
-from mjtactile.sensing.image import edge_fit, edge_model, ellipse
+from mjtactile.kernels import kernel
+from mjtactile.sensing.image import edge_fit, ellipse
 from mjtactile.sensing.image.edge_bands import NeighborMarkers, Pixels
 from mjtactile.sensing.settings import DEFAULTS, GammaSettings, Settings
 
@@ -113,19 +114,14 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
     single = np.zeros(len(theta))
     sd = np.ones(len(theta))
     for k in range(_STEPS):
-        level, G, by_gamma = _levels(pixels, theta, float(np.exp(log_gamma)))
-        residual = pixels.observed - level
-        scale = 4 * np.sqrt(pixels.sums(residual * residual) / pixels.counts)
-        weight = 1 / (1 + (residual / pixels.spread(scale)) ** 4) if k else np.ones_like(residual)
-        H = edge_fit.normal_matrix(pixels, G, weight) + 1e-6 * np.eye(edge_fit.PARAMETERS)
-        right = pixels.sums(weight * residual * G).T
-        mixed = pixels.sums(weight * by_gamma * G).T
+        H, sums = equations(pixels, theta, float(np.exp(log_gamma)), robust=k > 0)
+        H += 1e-6 * np.eye(edge_fit.PARAMETERS)
+        right, mixed = np.split(sums[:, : 2 * edge_fit.PARAMETERS], 2, axis=1)
+        squares, pulls, residual, kept = sums[:, 2 * edge_fit.PARAMETERS :].T
         solved = np.linalg.solve(H, np.stack([right, mixed], axis=2))
-        information = pixels.sums(weight * by_gamma**2) - (mixed * solved[..., 1]).sum(axis=1)
-        pull = pixels.sums(weight * by_gamma * residual) - (mixed * solved[..., 0]).sum(axis=1)
-        variance = pixels.sums(weight * residual**2) / np.maximum(
-            pixels.sums(weight) - edge_fit.PARAMETERS, 1
-        )
+        information = squares - (mixed * solved[..., 1]).sum(axis=1)
+        pull = pulls - (mixed * solved[..., 0]).sum(axis=1)
+        variance = residual / np.maximum(kept - edge_fit.PARAMETERS, 1)
         known = information > 0  # rounding may give zero or less where a fit is degenerate
         single = np.divide(pull, information, out=np.zeros(len(theta)), where=known)
         sd = np.full(len(theta), np.inf)
@@ -141,23 +137,20 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
     return _from_estimate(log_gamma, single, sd, s) if settled else UNKNOWN
 
 
-def _levels(pixels: Pixels, theta: Array, gamma: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Compute gray levels (P,) of the model and their derivatives. The derivatives are (10, P) by
-    the parameters, and (P,) by log gamma. Gray levels are relative to `_MIDDLE`, so that light is
-    of order one. L = model(..., I = i^gamma, O = o^gamma, ...), E = L^(1/gamma)."""
-    edge = theta[:, 5:7] / _MIDDLE
-    linear = theta.copy()
-    linear[:, 5:7] = edge**gamma
-    J = np.empty((edge_fit.PARAMETERS, len(pixels.x)), np.float32)
-    light = edge_model.model(pixels, linear, J, small=True)
-    light = np.maximum(light, _DARKEST).astype(np.float32)
-    level = light ** np.float32(1 / gamma)
-    J *= np.float32(_MIDDLE / gamma) * level / light
-    by_gamma = np.float32(-_MIDDLE / gamma) * level * np.log(light)
-    for column, e in ((5, edge[:, 0]), (6, edge[:, 1])):
-        by_gamma += J[column] * pixels.spread(gamma * e**gamma * np.log(e))
-        J[column] *= pixels.spread(gamma * e ** (gamma - 1) / _MIDDLE)
-    return _MIDDLE * level, J, by_gamma
+def equations(pixels: Pixels, theta: Array, gamma: float, *, robust: bool) -> tuple[Array, Array]:
+    """Return the normal matrices (n, 10, 10) of the parameters, and sums (n, 24) over the pixels.
+
+    The sums are products of the parameters' derivatives with the residual (10), and with the
+    derivative by log gamma (10). Then follow that derivative squared, its product with the
+    residual, the residual squared, and the weights. Gray levels are relative to `_MIDDLE`, so that
+    light is of order one. L = model(..., I = i^gamma, O = o^gamma, ...), E = L^(1/gamma).
+    """
+    H = np.empty((len(theta), edge_fit.PARAMETERS, edge_fit.PARAMETERS))
+    sums = np.empty((len(theta), 2 * edge_fit.PARAMETERS + 4))
+    observed = (len(pixels.x), pixels.counts, pixels.x, pixels.y, pixels.observed)
+    curve = np.array([gamma, _MIDDLE, _DARKEST, robust])
+    kernel("gamma_equations")(len(theta), *observed, curve, theta, H, sums)
+    return H, sums
 
 
 def _bounded_step(theta: Array, change: Array) -> Array:

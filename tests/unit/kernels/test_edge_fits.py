@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from mjtactile.sensing.image import edge_fit
-from mjtactile.sensing.image.edge_bands import pairs_within
+from mjtactile.sensing.image import gamma as gamma_fit
+from mjtactile.sensing.image.edge_bands import NeighborMarkers, pairs_within
+from mjtactile.sensing.settings import DEFAULTS
 from tests.numpy_pipeline import edges as numpy_edges
 
 
@@ -50,6 +52,25 @@ def test_ellipses_are_those_of_numpy(radius, blur_sd):
     assert (np.abs(ours.shape - theirs.shape) < 0.1 * sds[0][:, 2:]).all()
     clean = np.arange(len(center)) != 3
     assert np.abs(ours.center - center)[clean].max() < 6 * sds[0][clean, :2].max()
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_equations_of_gamma_are_those_of_numpy(robust):
+    """Sums of 400 products in single precision, relative to the norms of their factors."""
+    image, center = photograph(9.0)
+    shape = np.tile([9.4, 0.1, 9.0], (len(center), 1))
+    around = NeighborMarkers.of(center, shape, len(center), 5.0, DEFAULTS.edges)
+    pixels, _, origin = edge_fit.gather(image, center, shape, around, 5.0)
+    row = [60.0, 180.0, 1e-3, -2e-3, 0.8]
+    theta = np.column_stack([center - origin, shape, np.tile(row, (len(center), 1))])
+    ours = gamma_fit.equations(pixels, theta, 1.7, robust=robust)
+    theirs = numpy_edges.gamma_equations(pixels, theta, 1.7, robust=robust)
+    norm = np.sqrt(np.diagonal(theirs[0], axis1=1, axis2=2))
+    by_gamma, _, residual, kept = np.sqrt(np.abs(theirs[1][:, 20:])).T
+    scales = [norm * residual[:, None], norm * by_gamma[:, None]]
+    rest = np.stack([by_gamma**2, by_gamma * residual, residual**2, kept**2], axis=1)
+    assert (np.abs(ours[0] - theirs[0]) < 1e-5 * norm[:, :, None] * norm[:, None]).all()
+    assert (np.abs(ours[1] - theirs[1]) < 1e-5 * np.concatenate([*scales, rest], axis=1)).all()
 
 
 def test_a_marker_outside_the_image_has_no_pixels():
