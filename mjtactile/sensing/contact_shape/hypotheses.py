@@ -14,6 +14,7 @@ from mjtactile.core.types import Array
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
+from mjtactile.sensing.contact_shape.linear_update import Linearization
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.quadric_deviation import Deviation
 from mjtactile.sensing.contact_shape.relative_motion import Track
@@ -110,6 +111,7 @@ class PressHistory:
         dropped: Models that were dropped, in their last state.
         reported: Reported kind, and the load with which it was chosen.
         other: Deviation of the object from the reported model, at the last evaluation.
+        linear: Linear model that gave `now`; None: `now` has its own membrane solution.
     """
 
     candidates: tuple[Candidate, ...]
@@ -124,6 +126,12 @@ class PressHistory:
     dropped: tuple[Candidate, ...] = ()
     reported: ReportedKind | None = None
     other: Deviation | None = None
+    linear: Linearization | None = None
+
+    @property
+    def solved(self) -> Fit:
+        """Last fit of the first candidate with a membrane solution."""
+        return self.now if self.linear is None else self.linear.fit
 
     @cached_property
     def probabilities(self) -> Array:

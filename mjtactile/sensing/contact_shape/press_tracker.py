@@ -15,6 +15,7 @@ from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
 from mjtactile.sensing.contact_shape.hypotheses import Candidate, Evaluation, PressHistory, weigh
 from mjtactile.sensing.contact_shape.initial_search import Suggestions, search, suggested
+from mjtactile.sensing.contact_shape.linear_update import Linearization
 from mjtactile.sensing.contact_shape.primitives import InitialGuess
 from mjtactile.sensing.contact_shape.refit import (
     EVALUATED,
@@ -62,7 +63,7 @@ def follow(
     # the tracked fit may be stuck
     if new is None or _is_worse(new, press, s):
         fraction = s.log_again if press.adds_evidence(data.force) or new is not None else 0.0
-        press = press if new is None else replace(press, now=new.now)
+        press = press if new is None else replace(press, now=new.now, linear=new.linear)
         new = _evaluate_candidates(forward, press, hint, data, s, fraction, suggest, grown)
     if new is None:
         return _search_all(forward, hint, data, s, None, suggest)
@@ -187,13 +188,13 @@ def _evaluate_candidates(
     suggestions = None if suggest is None else suggest(data)
     possible = _possible(press, suggestions, share, s)
     for candidate in possible:
-        start = press.now if candidate is press.candidates[0] else candidate.fit
+        start = press.solved if candidate is press.candidates[0] else candidate.fit
         best = min((each.fit for each in found), key=lambda fit: fit.chi2, default=None)
         known = math.inf if best is None else best.chi2
         fit = warm_start(forward, candidate, start, press.noise, hint, data, EVALUATED, known)
         minimum = press.noise if best is None else best.misfit
         if fit is None or fit.misfit > _STUCK * minimum:
-            near = (best or press.now).state
+            near = (best or press.solved).state
             if suggestions is None or candidate.family.parts:
                 fit = restart_fit(forward, candidate, fit, press.noise, hint, data, known, near)
             elif fit is None or suggestions.probability(candidate.family.name) > _LIKELY_START:
@@ -279,9 +280,26 @@ def _added(
 def _refit_best(
     forward: ForwardModel, press: PressHistory, hint: InitialGuess, data: Data
 ) -> PressHistory | None:
+    """Refit the most likely model: by the linear model if it holds, else with new membrane
+    solutions. None: the solver did not converge."""
+    images = press.images + 1
     best = press.candidates[0]
-    fit = warm_start(forward, best, press.now, press.noise, hint, data, FOLLOWED, limits=FOLLOWING)
+    linear = press.linear or _linearization(press, best)
+    now = None
+    if len(linear.fit.hint.parts) in (0, len(hint.parts)):
+        now = linear.update(data, press.noise)
+    if now is not None:
+        return replace(press, now=now, linear=linear, images=images)
+    fit = warm_start(
+        forward, best, press.solved, press.noise, hint, data, FOLLOWED, limits=FOLLOWING
+    )
     if fit is None:
         return None
     fit = exactly(forward, fit, data, press.noise, times=0)
-    return replace(press, now=fit, images=press.images + 1)
+    return replace(press, now=fit, linear=None, images=images)
+
+
+def _linearization(press: PressHistory, best: Candidate) -> Linearization:
+    """Return the linear model at the newest fit."""
+    fit = press.now
+    return Linearization(fit, best.common.prior(best.fit, press.noise, fit.hint))
