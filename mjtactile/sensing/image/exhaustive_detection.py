@@ -48,6 +48,7 @@ class Rejected:
         ]
 
 
+_RING_POINTS = 16  # on a ring around a candidate
 _STAIRCASE = 0.08  # residual of the edges of a black and white image, relative to the contrast
 NO_REJECTED = Rejected(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0, dtype="<U24"))
 
@@ -77,6 +78,9 @@ def detect_thoroughly(
     first = candidates.find(dark, min_radius_px, settings.candidates)
     why = implausible(first, min_radius_px, s)
     found = _with_black_hat(first.take(why == ""), dark, min_radius_px, settings)
+    textured = _is_textured(grey, found, settings.exhaustive_detection)
+    texture = found.take(textured)
+    found = found.take(~textured)
     fit = _second_try(
         grey, found, fit_candidates(grey, found, settings), polarity, min_radius_px, settings
     )
@@ -84,9 +88,9 @@ def detect_thoroughly(
     kept_fit = fit.take(keep)
     kept_status, deformed = _by_outline(grey, kept_fit, status[keep], edge_noise)
     kept = as_ellipses(kept_fit, kept_status)
-    outlines = np.concatenate([first.shape[why != ""], found.shape[~keep]])
-    centers = np.concatenate([first.center[why != ""], found.center[~keep]])
-    reasons = np.concatenate([why[why != ""], status[~keep]])
+    outlines = np.concatenate([first.shape[why != ""], texture.shape, found.shape[~keep]])
+    centers = np.concatenate([first.center[why != ""], texture.center, found.center[~keep]])
+    reasons = np.concatenate([why[why != ""], np.full(len(texture), TEXTURE), status[~keep]])
     return kept, Rejected(centers, ellipse.axes_from_shape(outlines)[0], reasons), deformed
 
 
@@ -155,6 +159,25 @@ def _with_black_hat(
     new = _new(more, s, settings.edges.max_size_ratio)
     new[: len(found)] = True
     return more.take(new)
+
+
+def _is_textured(
+    grey: NDArray, found: Candidates, s: ExhaustiveDetectionSettings
+) -> NDArray[np.bool_]:
+    """Return a mask (N,) of the candidates around which gray levels vary as much as at their edge.
+    Most candidates in clutter are such, and their fit is costly."""
+    soft = cv2.blur(grey, (3, 3))
+    levels = []
+    for ring in (0.5 * found.shape, found.shape + [s.texture_ring, 0.0, s.texture_ring]):
+        points = np.rint(ellipse.boundary(found.center, ring, _RING_POINTS)[0]).astype(np.int64)
+        u = np.clip(points[..., 0], 0, grey.shape[1] - 1)
+        v = np.clip(points[..., 1], 0, grey.shape[0] - 1)
+        opposite = soft[v, u].astype(float).reshape(-1, 2, _RING_POINTS // 2)
+        levels.append(np.sort(opposite.mean(axis=1), axis=1))  # free of a gradient of the light
+    inside, outside = levels
+    middle = _RING_POINTS // 4
+    contrast = np.abs(outside[:, middle] - inside[:, middle])
+    return outside[:, middle + 2] - outside[:, middle - 2] > s.texture_max * contrast
 
 
 def _new(

@@ -242,6 +242,17 @@ class ExhaustiveDetectionSettings:
         "maximum distance of a part of a circle, in radii of its ellipse, where the kernel's "
         "corner did not fit",
     )
+    texture_ring: float = number(
+        2.0,
+        "distance from a candidate's border of the ring that shows its surroundings, px",
+        "outside of the blur, and nearer than the next circle",
+    )
+    texture_max: float = number(
+        0.4,
+        "maximum interquartile range of the mean gray levels of opposite points on this ring, "
+        "relative to the contrast",
+        "circles in clutter: up to 0.13; half of the other candidates exceed 0.4",
+    )
     retry_blur: float = number(0.7, "minimum blur for repeating a failed fit, px")
     blur_sd_fraction: float = number(0.1, "relative variation of the blur over a photograph")
     grey_levels: tuple[float, float] = number(
