@@ -44,6 +44,7 @@ LOOSENING = 1.0  # relative decrease of the grip while friction is tested, 1/s
 LOADED = 0.25  # minimum load over grip force of an object that may slip out, a low friction
 # a slip ends after SLIP_WAIT without a sign; the lift waits at most GRIP_WAIT for slip and grip, s
 SLIP_WAIT, GRIP_WAIT = 0.3, 1.0
+GROWS = 1.05  # relative growth of the load from slip to slip while the table carries a part
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.1, 0.2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
@@ -63,6 +64,7 @@ MEMORY_KEYS = {
 }
 START = {f"{clock}_time": 0.0 for clock in ("pull", "wait", "test", "slip")} | {
     "low": WEIGH_HEIGHT,
+    "slid": 0.0,
     "target": MIN_FORCE,
     "sent": [],
     "load": vars(LoadEstimator()),
@@ -102,10 +104,10 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
         is_test=memory["risk"] == TEST_RISK,
         is_hanging=len(_stored(LoadEstimator, command).down) > 0,
     )
-    frames = _stored(FrameLoadEstimator, command).after(
-        touch, observation.gripper.effort, observation.period
-    )
     is_slipping = friction.grows or slip_sign(touch) == 2
+    frames = _stored(FrameLoadEstimator, command).after(
+        touch, observation.gripper.effort, observation.period, is_slipping=friction.grows
+    )
     load = _stored(LoadEstimator, command).after(touch, observation.period, is_slipping=is_slipping)
     slip_time = 0.0 if is_slipping else memory["slip_time"] + observation.period
     goal = observation.goal
@@ -185,10 +187,15 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
     load = _stored(LoadEstimator, command)
     waits = target - grip > min(FORCE_TOLERANCE, 0.1 * target)
     # faces that the fingers only drag along themselves slip without a load
-    waits |= command.memory["slip_time"] < SLIP_WAIT and load.maximum > LOADED * grip
+    slips = command.memory["slip_time"] < SLIP_WAIT and load.maximum > LOADED * grip
+    waits |= slips
     wait_time = command.memory["wait_time"] + observation.period if waits else 0.0
     command = phases.remember(command, wait_time=wait_time)
     is_low = command.lift_height < command.memory["low"]
+    if is_low and slips and load.maximum > GROWS * command.memory["slid"]:
+        # the load still grows: the table carries a part
+        low = command.lift_height + WEIGH_HEIGHT
+        command = phases.remember(command, low=low, slid=load.maximum)
     if not is_low and command.memory["risk"] != RISK:
         return _test_friction(observation, command)
     if 0.0 < wait_time < GRIP_WAIT:

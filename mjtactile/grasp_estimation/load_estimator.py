@@ -152,29 +152,37 @@ class FrameLoadEstimator:
     Attributes:
         maximum: Largest useful grip force on each finger, N.
         time: Time since the servo force exceeds the measured contact force, s.
+        press: Contact force at the start of that time, N.
     """
 
     maximum: float = 100.0
     time: float = 0.0
+    press: float = 0.0
 
     @validated(period=not_below(0))
-    def after(self, touch: Sequence[Touch], effort: float, period: float) -> FrameLoadEstimator:
+    def after(
+        self, touch: Sequence[Touch], effort: float, period: float, *, is_slipping: bool = False
+    ) -> FrameLoadEstimator:
         """Update with one image.
+
+        The grip is released once, not further if the frames stay loaded: the object would fall. A
+        sliding object needs more grip in any case.
 
         Args:
             touch: Current touches.
             effort: `observation.gripper.effort`, N on each finger; NaN if it is unknown.
             period: Time since the previous image, s.
+            is_slipping: True if the object slides.
 
         Returns:
             The updated estimator.
         """
         press = float(np.mean([estimate.force_normal for estimate in touch]))
         beyond = (1 - _EFFORT_ERROR) * effort - press - _JAW_FRICTION
+        if is_slipping:
+            return FrameLoadEstimator()
         if not (math.isfinite(beyond) and beyond > 0):
             return FrameLoadEstimator(self.maximum * (1 + _LIMIT_GROWTH * period))
-        time = self.time + period
-        return FrameLoadEstimator(
-            min(self.maximum, _RELEASE_FRACTION * press) if time > _MIN_DURATION else self.maximum,
-            time,
-        )
+        time, press = self.time + period, self.press or press
+        released = _RELEASE_FRACTION * press if time > _MIN_DURATION else math.inf
+        return FrameLoadEstimator(min(self.maximum, released), time, press)

@@ -145,7 +145,8 @@ def approach(
     contact_force: float,
     max_force: float,
 ) -> Command:
-    """Close at `speed` m/s until one finger has contact, then slowly ("close") until both have.
+    """Close at `speed` m/s until a finger detects contact, then slowly ("close") until both press
+    with `contact_force` N.
 
     "regulate" follows, also if one finger measures more than `max_force` N.
     """
@@ -156,7 +157,7 @@ def approach(
         return command
     if command.phase == "close" and command.memory["phase_time"] > GRIP_TIMEOUT:
         return abort(command, "only one finger touches the object")
-    if command.phase == "approach" and max(forces) > contact_force:
+    if command.phase == "approach" and any(touch.touching for touch in observation.touch):
         return enter_phase(command, "close")
     fraction = 1.0 if command.phase == "approach" else _SLOW
     return replace(command, opening=command.opening - fraction * speed * observation.period)

@@ -330,3 +330,17 @@ def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, ma
     assert frames.maximum == pytest.approx(
         maximum * math.exp(0.05), rel=0.01
     )  # it grows by 5 % a second
+
+
+def test_frames_that_stay_loaded_are_released_once():
+    """Jaws that open reduce the measured force. Released again and again, the object would fall.
+
+    A sliding object needs more grip in any case.
+    """
+    frames = grasp_estimation.FrameLoadEstimator()
+    for _ in range(60):
+        normal = min(1.0, frames.maximum)
+        frames = frames.after([touch(0.0, -0.2, normal)] * 2, 4.0, 1 / 30)
+    assert frames.maximum == pytest.approx(0.8)
+    sliding = frames.after([touch(0.0, -0.2, 0.8)] * 2, 4.0, 1 / 30, is_slipping=True)
+    assert sliding.maximum > 10.0

@@ -190,10 +190,15 @@ def test_one_image_without_load_is_not_the_table():
 
 
 def test_the_jaws_stop_at_the_first_contact():
-    """They lag behind the command by 2 mm, which would compress a stiff object further."""
+    """They lag behind the command by 2 mm, which would compress a stiff object further.
+
+    The first detected contact counts, below the force that settles both fingers: at 20 mm/s each
+    image is 0.7 mm, 0.3 N of a stiff box.
+    """
     state = GripperState(0.042, -0.02, 0.4, 0.0)
     moving = Command(0.040, 5.0, 0.0, "approach")
-    for forces, phase in (((0.2, 0.0), "close"), ((0.2, 0.2), "regulate")):
+    cases = (((0.06, 0.0), "close"), ((0.2, 0.0), "close"), ((0.2, 0.2), "regulate"))
+    for forces, phase in cases:
         touch = tuple(finger(0.0, normal=force) for force in forces)
         command = step(Observation(0.0, PERIOD, touch, state, (), moving, TaskGoal()))
         assert command.phase == phase
@@ -233,6 +238,25 @@ def test_a_slip_that_does_not_end_delays_the_lift_only():
 
     start = Command(0.04, 5.0, 0.0, "lift")
     assert run(start, stressed, 450, TaskGoal(hold_time=60.0)).phase == "hold"
+
+
+def test_an_object_that_slides_while_its_load_grows_is_lifted_slowly():
+    """The table carries the rest of 0.6 N on each finger, which slide up along it at mu = 0.6.
+
+    At 30 mm/s it would slide out of the fingers. The limit of the speed is that of the first 3 mm.
+    """
+    steps = []
+
+    def sliding(k, command):
+        load = min(0.6, 0.05 + 60 * command.lift_height)
+        steps.append((command.lift_height, load))
+        slip = Slip("slipping", np.zeros(2), 1e-4 * k, 1.0)
+        return (replace(finger(load, normal=load / 0.6), slip=slip),) * 2
+
+    run(Command(0.04, 5.0, 0.0, "lift"), sliding, 450, TaskGoal(hold_time=60.0))
+    height, load = np.array(steps).T
+    assert load[-1] == 0.6
+    assert np.diff(height)[load[1:] < 0.6].max() < 1.01 * 0.003 * PERIOD
 
 
 def test_it_lifts_only_after_contact_of_all_fingers():
