@@ -262,7 +262,7 @@ static void through_curve(const Pixels *p, const double *theta, const Curve *c) 
 
 /* Sum the normal equations of one marker: matrix H and, in `sums`, the products of the parameters with
    residual and derivative by log gamma, then those of the derivative and the residual with both, the
-   sum of the weights. */
+   sum of the weights; of the squared residual and the weights, the part at the edge. */
 static void gamma_sums(const Pixels *p, float *restrict weighted, double H[N][N], double *sums) {
     const float *restrict weight = p->weight, *restrict residual = p->residual, *restrict by_gamma = p->J + N * p->room;
     for (int i = 0; i <= N; i++) {
@@ -276,6 +276,14 @@ static void gamma_sums(const Pixels *p, float *restrict weighted, double H[N][N]
     double kept = 0;
     for (int64_t k = 0; k < p->count; k++) weighted[k] = weight[k] * residual[k], kept += weight[k];
     sums[2 * N + 2] = sum_of_products(weighted, residual, p->count), sums[2 * N + 3] = kept;
+    const float *restrict by_u = p->J, *restrict by_v = p->J + p->room;
+    double squares = 0, weights = 0;
+    float steepest = 1e-12f;
+    for (int64_t k = 0; k < p->count; k++) {
+        float slope = by_u[k] * by_u[k] + by_v[k] * by_v[k];
+        squares += slope * weighted[k] * residual[k], weights += slope * weight[k], steepest = max_float(steepest, slope);
+    }
+    sums[2 * N + 4] = squares / steepest, sums[2 * N + 5] = weights / steepest;
 }
 
 int64_t gamma_equations(int64_t n, int64_t all, const int64_t *counts, const float *x, const float *y, const float *observed,
@@ -304,7 +312,7 @@ int64_t gamma_equations(int64_t n, int64_t all, const int64_t *counts, const flo
             float t = p.residual[k] * over;
             t *= t, p.weight[k] = 1 / (1 + t * t);
         }
-        gamma_sums(&p, work + 13 * room, (double(*)[N])(normals + N * N * i), sums + (2 * N + 4) * i);
+        gamma_sums(&p, work + 13 * room, (double(*)[N])(normals + N * N * i), sums + (2 * N + 6) * i);
         x += counts[i], y += counts[i], observed += counts[i];
     }
     free(work);

@@ -177,10 +177,10 @@ int64_t fit_edges(int64_t n, int64_t all, const int64_t *counts /* n */, const f
    (sensing/image/gamma.py). `thetas` as in `fit_edges`. `curve`: gamma, middle gray level, darkest
    light, robust. Out: `normals`; `sums` of products with the residual (10) and with the derivative by
    log gamma (10), of that derivative squared, of derivative and residual, of the squared residual, of
-   the weights. */
+   the weights; of the last two, the part at the edge. */
 int64_t gamma_equations(int64_t n, int64_t all, const int64_t *counts /* n */, const float *x /* all */, const float *y /* all */,
                         const float *observed /* all */, const double *curve /* 4 */, const double *thetas /* n, 10 */,
-                        double *normals /* n, 10, 10 */, double *sums /* n, 24 */);
+                        double *normals /* n, 10, 10 */, double *sums /* n, 26 */);
 
 /* Estimate circle poses from ellipses (sensing/pose/circles.py). `camera`: see optics.h. `covs`:
    covariances of (u, v, a, b, angle). Out: `uv`, px, of the center; `poses`: center and normal of

@@ -55,7 +55,10 @@ def gamma_equations(pixels, theta, gamma, *, robust):
     weight = 1 / (1 + (residual / pixels.spread(scale)) ** 4) if robust else np.ones_like(residual)
     columns = [residual * J, by_gamma * J]
     sums = [pixels.sums(weight * column) for column in columns]
+    slope = J[0] ** 2 + J[1] ** 2
+    slope /= pixels.spread(np.maximum.reduceat(slope, pixels.starts))
     squares = [by_gamma**2, by_gamma * residual, residual**2, np.ones_like(residual)]
+    squares += [slope * residual**2, slope]
     sums += [pixels.sums(weight * square)[None] for square in squares]
     return normal_matrix(pixels, J, weight), np.concatenate(sums).T
 

@@ -42,8 +42,12 @@ class Gamma:
     def contradicts(self, assumed: float, s: GammaSettings) -> bool:
         """Return True if the image clearly has another gamma than `assumed`."""
         deviation = abs(np.log(self.value / assumed))
+        return bool(self.deviates(assumed, s) and deviation > s.min_sds * self.sd / self.value)
+
+    def deviates(self, assumed: float, s: GammaSettings) -> bool:
+        """Return True if the image has another gamma than `assumed`, clearly or not."""
         # never for an unknown value
-        return bool(deviation > s.min_sds * self.sd / self.value and deviation > s.min_log_change)
+        return bool(abs(np.log(self.value / assumed)) > s.min_log_change)
 
     def size_uncertainty(self, assumed: float, s: GammaSettings) -> float:
         """Return the standard deviation, px, of circle sizes if `assumed` was used."""
@@ -117,7 +121,7 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         H, sums = equations(pixels, theta, float(np.exp(log_gamma)), robust=k > 0)
         H += 1e-6 * np.eye(edge_fit.PARAMETERS)
         right, mixed = np.split(sums[:, : 2 * edge_fit.PARAMETERS], 2, axis=1)
-        squares, pulls, residual, kept = sums[:, 2 * edge_fit.PARAMETERS :].T
+        squares, pulls, residual, kept, *at_edge = sums[:, 2 * edge_fit.PARAMETERS :].T
         solved = np.linalg.solve(H, np.stack([right, mixed], axis=2))
         information = squares - (mixed * solved[..., 1]).sum(axis=1)
         pull = pulls - (mixed * solved[..., 0]).sum(axis=1)
@@ -134,19 +138,32 @@ def _fit(pixels: Pixels, theta: Array, s: GammaSettings) -> Gamma:
         if abs(step) < _SETTLED:
             break
     settled = abs(step) < _SETTLED and float(np.median(theta[:, 9])) >= s.min_blur
-    return _from_estimate(log_gamma, single, sd, s) if settled else UNKNOWN
+    misfit = _edge_misfit(residual, kept, *at_edge)
+    return _from_estimate(log_gamma, single, sd, misfit, s) if settled else UNKNOWN
+
+
+def _edge_misfit(residual: Array, kept: Array, edge_residual: Array, edge_kept: Array) -> float:
+    """Return by how much the rms residual at the edges exceeds that elsewhere, relative to it.
+
+    It is zero for noise. Compression, and other processing of the image, changes the form of the
+    edge, and a gamma can take the part of this change that is asymmetric.
+    """
+    elsewhere = np.maximum((residual - edge_residual) / np.maximum(kept - edge_kept, 1), 1e-9)
+    ratio = np.sqrt(edge_residual / np.maximum(edge_kept, 1e-9) / elsewhere)
+    return max(float(np.median(ratio)) - 1, 0.0)
 
 
 def equations(pixels: Pixels, theta: Array, gamma: float, *, robust: bool) -> tuple[Array, Array]:
-    """Return the normal matrices (n, 10, 10) of the parameters, and sums (n, 24) over the pixels.
+    """Return the normal matrices (n, 10, 10) of the parameters, and sums (n, 26) over the pixels.
 
     The sums are products of the parameters' derivatives with the residual (10), and with the
     derivative by log gamma (10). Then follow that derivative squared, its product with the
-    residual, the residual squared, and the weights. Gray levels are relative to `_MIDDLE`, so that
+    residual, the residual squared, and the weights. The last two are their parts at the edge, in
+    proportion to the square of its slope. Gray levels are relative to `_MIDDLE`, so that
     light is of order one. L = model(..., I = i^gamma, O = o^gamma, ...), E = L^(1/gamma).
     """
     H = np.empty((len(theta), edge_fit.PARAMETERS, edge_fit.PARAMETERS))
-    sums = np.empty((len(theta), 2 * edge_fit.PARAMETERS + 4))
+    sums = np.empty((len(theta), 2 * edge_fit.PARAMETERS + 6))
     observed = (len(pixels.x), pixels.counts, pixels.x, pixels.y, pixels.observed)
     curve = np.array([gamma, _MIDDLE, _DARKEST, robust])
     kernel("gamma_equations")(len(theta), *observed, curve, theta, H, sums)
@@ -163,17 +180,17 @@ def _bounded_step(theta: Array, change: Array) -> Array:
     return new
 
 
-def _from_estimate(log_gamma: float, single: Array, sd: Array, s: GammaSettings) -> Gamma:
-    """Return the common gamma, with a standard deviation that includes the scatter of circles.
-    `single` are the deviations of the circles from it. It is unknown if it is not plausible for a
-    camera."""
+def _from_estimate(
+    log_gamma: float, single: Array, sd: Array, misfit: float, s: GammaSettings
+) -> Gamma:
+    """Return the common gamma, with a standard deviation that includes the scatter of circles and
+    the `misfit` of their edges. `single` are the deviations of the circles from it. It is unknown
+    if it is not plausible for a camera."""
     good = np.isfinite(single) & np.isfinite(sd)
     gamma = float(np.exp(log_gamma))
     if good.sum() < s.min_circles or not s.range[0] <= gamma <= s.range[1]:
         return UNKNOWN
     scatter = max(float(np.median(np.abs(single[good]) / sd[good])) / 0.6745, 1.0)
-    return Gamma(
-        gamma,
-        gamma * float(np.hypot(scatter / np.sqrt((1 / sd[good] ** 2).sum()), s.model_sd_fraction)),
-        int(good.sum()),
-    )
+    random = scatter / np.sqrt((1 / sd[good] ** 2).sum())
+    model = np.hypot(s.model_sd_fraction, s.misfit_sd * misfit)
+    return Gamma(gamma, gamma * float(np.hypot(random, model)), int(good.sum()))

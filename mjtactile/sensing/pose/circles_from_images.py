@@ -179,7 +179,7 @@ def _with_size_uncertainty(found: DetectedCircles, settings: Settings) -> Detect
     """Return `found` with the covariance of a size error from clipping or an unknown gamma. An
     image with deformed outlines is not linear light; without an estimate, its gamma is unknown."""
     size_sd = settings.locate.size_sd if found.overexposed else 0.0
-    if found.nonlinear or found.assumed == found.gamma.value:
+    if found.assumed == found.gamma.value or found.gamma.deviates(found.assumed, settings.gamma):
         size_sd = np.hypot(size_sd, found.gamma.size_uncertainty(found.assumed, settings.gamma))
     elif found.deformed and not found.overexposed:
         size_sd = _UNKNOWN_LOG_GAMMA * settings.gamma.size_per_log

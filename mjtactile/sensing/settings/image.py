@@ -297,6 +297,12 @@ class GammaSettings:
         "standard deviation due to model errors, relative to gamma",
         "simulated circles of 5 to 20 px",
     )
+    misfit_sd: float = number(
+        1.0,
+        "standard deviation of log gamma for residuals at the edges that are twice those elsewhere",
+        "JPEG of quality 50 to 95",
+        low=0.0,
+    )
     range: tuple[float, float] = number(
         (0.3, 4.0),
         "valid range; outside it, the cause is sharpening or clipping",

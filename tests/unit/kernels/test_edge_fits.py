@@ -66,11 +66,11 @@ def test_equations_of_gamma_are_those_of_numpy(robust):
     ours = gamma_fit.equations(pixels, theta, 1.7, robust=robust)
     theirs = numpy_edges.gamma_equations(pixels, theta, 1.7, robust=robust)
     norm = np.sqrt(np.diagonal(theirs[0], axis1=1, axis2=2))
-    by_gamma, _, residual, kept = np.sqrt(np.abs(theirs[1][:, 20:])).T
+    by_gamma, _, residual, kept, *at_edge = np.sqrt(np.abs(theirs[1][:, 20:])).T
     scales = [norm * residual[:, None], norm * by_gamma[:, None]]
-    rest = np.stack([by_gamma**2, by_gamma * residual, residual**2, kept**2], axis=1)
+    squares = np.square([by_gamma, np.sqrt(by_gamma * residual), residual, kept, *at_edge]).T
     assert (np.abs(ours[0] - theirs[0]) < 1e-5 * norm[:, :, None] * norm[:, None]).all()
-    assert (np.abs(ours[1] - theirs[1]) < 1e-5 * np.concatenate([*scales, rest], axis=1)).all()
+    assert (np.abs(ours[1] - theirs[1]) < 1e-5 * np.concatenate([*scales, squares], axis=1)).all()
 
 
 def test_a_marker_outside_the_image_has_no_pixels():
