@@ -107,6 +107,7 @@ class PressHistory:
         images: Number of images since the last evaluation.
         parts: Number of contact patches then.
         search_misfit: Mean square misfit at the last search over all models.
+        search_force: Estimated force then, N.
         track: Poses of the shape in the last images.
         dropped: Models that were dropped, in their last state.
         reported: Reported kind, and the load with which it was chosen.
@@ -122,6 +123,7 @@ class PressHistory:
     images: int
     parts: int
     search_misfit: float
+    search_force: float
     track: Track = ()
     dropped: tuple[Candidate, ...] = ()
     reported: ReportedKind | None = None
@@ -230,6 +232,7 @@ def weigh(
         0,
         len(hint.parts),
         best.fit.misfit,
+        data.force,
         dropped=tuple(dropped),
     )
 

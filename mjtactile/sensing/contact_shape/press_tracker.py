@@ -70,10 +70,12 @@ def follow(
     worse = _is_worse(new, press, s)
     # A dragged shape fits worse but is still the same. Only a deeper indentation can show another.
     explained = min(candidate.fit.misfit for candidate in new.candidates)
-    if grown and explained > min(_bad_misfit(press, s), _BAD * s.misfit_max):
+    deeper = data.force > s.check_force * press.search_force
+    if deeper and explained > min(_bad_misfit(press, s), _BAD * s.misfit_max):
         other = _search_all(forward, hint, data, s, new, suggest)
         if other is not None and other.now.misfit < _BETTER * new.now.misfit:
             return _with_past(forward, press, new, other, hint, data, s)
+        new = replace(new, search_force=data.force)
         worse = True
     return replace(new, search_misfit=new.now.misfit) if worse else new
 
@@ -117,7 +119,8 @@ def _search_all(
     minimum = min([minimum, *(fit.misfit for fit in fits)])
     if len(hint.parts) > 1 and minimum > s.misfit_one:
         balls = several(["ball"] * len(hint.parts))
-        both = search(forward, (balls,), hint, data, s.noise_min)
+        known = math.inf if rejected is None else rejected.now.chi2
+        both = search(forward, (balls,), hint, data, s.noise_min, known=known)
         fits += both
         if both and s.misfit_one < both[0].misfit < minimum:
             fits += other_parts(forward, both[0], data, s)
@@ -195,6 +198,7 @@ def _evaluate_candidates(
         minimum = press.noise if best is None else best.misfit
         if fit is None or fit.misfit > _STUCK * minimum:
             near = (best or press.solved).state
+            known = known if fit is None else min(known, fit.chi2)
             if suggestions is None or candidate.family.parts:
                 fit = restart_fit(forward, candidate, fit, press.noise, hint, data, known, near)
             elif fit is None or suggestions.probability(candidate.family.name) > _LIKELY_START:
@@ -206,7 +210,9 @@ def _evaluate_candidates(
     if grown and suggestions is not None and found:
         found += _added(forward, press, found, suggestions, hint, data, s)
     new = weigh(forward, found, hint, data, s, press)
-    return None if new is None else replace(new, search_misfit=press.search_misfit)
+    if new is None:
+        return None
+    return replace(new, search_misfit=press.search_misfit, search_force=press.search_force)
 
 
 def _possible(

@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.contact_area import FACES
 from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, Problem
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
-from mjtactile.sensing.contact_shape.gauss_newton import Fit, refine
+from mjtactile.sensing.contact_shape.gauss_newton import Fit, damped_step, refine
 from mjtactile.sensing.contact_shape.hypotheses import Candidate
 from mjtactile.sensing.contact_shape.initial_search import (
     Suggestions,
@@ -29,8 +28,8 @@ from mjtactile.sensing.settings import ContactShapeSettings
 FOLLOWED = 3  # rounds of a fit that is followed
 # Thresholds of such a fit: the pose changes little, and the next image continues it
 FOLLOWING = {"settled": 0.5, "far": 25.0}
-_HELD = 0.05  # change of depth, mm, that the first step of a fit corrects
-EVALUATED = 5  # the same, at an evaluation of all candidates
+_UNDAMPED = 1e-8
+EVALUATED = 4  # the same, at an evaluation of all candidates
 _CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
 _PARTS = ("ball", "cylinder", "disc", "block")
 
@@ -47,21 +46,12 @@ def warm_start(
     limits: Mapping[str, float] | None = None,
 ) -> Fit | None:
     """Refit one shape model to a new image. The prior comes from earlier images. The start is the
-    last pose, shifted in depth by the force change divided by the contact stiffness. The fit stops
-    early when its cost stays far above `known`, the cost of a competing model. `limits` are
-    thresholds of `refine`."""
-    family = candidate.family
+    step that the last Jacobian predicts from the last pose. The fit stops early when its cost stays
+    far above `known`, the cost of a competing model. `limits` are thresholds of `refine`."""
     hint = _matched(newest.hint, hint)
     prior = candidate.common.prior(candidate.fit, noise, hint)
-    problem = Problem(forward, family, hint, data, prior)
-    same = family.rebased(newest.theta, newest.hint, hint)
-    theta = same.copy()
-    heights = family.heights
-    # total contact stiffness, N/mm
-    stiffness = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]
-    if stiffness < 0:
-        theta[heights] += np.clip((data.force - newest.force) / stiffness, -1.0, 1.0)
-    at = _start(problem, theta, same, newest)
+    problem = Problem(forward, candidate.family, hint, data, prior)
+    at = _start(problem, newest)
     if at is None:
         return None
     return refine(
@@ -69,15 +59,18 @@ def warm_start(
     )
 
 
-def _start(problem: Problem, theta: Array, same: Array, newest: Fit) -> FitState | None:
-    """Return the start state of a fit at `theta`. Close to `same`, it is that of `newest`."""
-    moved = float(np.abs(theta - same).max())
-    if moved < _HELD and (same == problem.clip(same)).all():
-        return problem.state(same, newest.state)
+def _start(problem: Problem, newest: Fit) -> FitState | None:
+    """Return the start state of a fit, predicted from the fit `newest`; None: the solver did not
+    converge."""
+    family = problem.family
+    before = problem.state(family.rebased(newest.theta, newest.hint, problem.hint), newest.state)
+    slopes = newest.slopes.seen(problem.data)
+    step = damped_step(slopes, before, family, problem.prior, _UNDAMPED)
+    theta = before.theta + step.by * family.sd
     # on flat faces the solver may oscillate from one start and converge from another
     return (
         problem.fit_state(theta, newest.state)
-        or problem.fit_state(same, newest.state)
+        or problem.fit_state(before.theta, newest.state)
         or problem.fit_state(theta, None)
     )
 

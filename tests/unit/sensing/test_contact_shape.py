@@ -457,3 +457,24 @@ def test_a_followed_fit_that_is_stuck_is_checked_before_all_families(sensor, cas
     # the same image: as well explained, within the look's own last step
     assert found.shape.misfit < 1.1 * alone.shape.misfit
     assert found.shape.kind == alone.shape.kind
+
+
+@pytest.mark.parametrize(("searched", "kind"), [(1.1, "unknown"), (2.0, "multiple")])
+def test_a_slow_load_searches_by_its_growth_since_the_last_search(
+    sensor, fine_membrane, searched, kind
+):
+    """A ball that becomes two balls. The last evaluation was at a tenth less force. Only a force of
+    1.4 times that of the last search shows another shape; else the misfit stays."""
+    bodies = [
+        fine_membrane.obstacle("sphere", (r,), (at, 1e-3, r + 1.2e-3))
+        for r, at in ((4.5e-3, -6.5e-3), (6e-3, 6.5e-3))
+    ]
+    touch = pressed(sensor, fine_membrane, bodies, 3)
+    pipeline, state, finder = sensor
+    rest = state.reference.rest
+    p_rest = pipeline.inverse.positions(rest.c) + rest.offset
+    one = pressed(sensor, fine_membrane, bodies[:1], 3)
+    press = finder.follow(one, None, p_rest).press
+    force = touch.force_normal
+    press = replace(press, force=force / 1.1, search_force=force / searched)
+    assert finder.follow(touch, press, p_rest).shape.kind == kind

@@ -156,7 +156,7 @@ def test_a_model_that_was_not_fitted_follows_the_best():
 
 
 def test_errors_of_the_model_repeat_at_the_same_force():
-    press = PressHistory((), None, 2.0, 0.3, (0.1, 0.3), 0, 1, 1.0)
+    press = PressHistory((), None, 2.0, 0.3, (0.1, 0.3), 0, 1, 1.0, 0.3)
     assert press.adds_evidence(0.4) and press.adds_evidence(0.08)
     assert not press.adds_evidence(0.32) and not press.adds_evidence(0.2)
 
