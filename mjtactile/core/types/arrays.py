@@ -24,17 +24,25 @@ def keep_status(owner: Any) -> None:
     object.__setattr__(owner, "status", Status.of(owner.status))
 
 
+def _converted(owner: object, name: str, value: ArrayLike, dtype: Any) -> NDArray:
+    """Convert a value to an array. Raises InputError if it is none."""
+    try:
+        with np.errstate(invalid="ignore"):
+            return np.asarray(value, dtype=dtype)
+    except (TypeError, ValueError, OverflowError):
+        text = f"{type(value).__name__} is not an array of {np.dtype(dtype).name} values"
+        raise InputError(text, source=type(owner).__name__, field=name) from None
+
+
 def freeze(
     owner: object, name: str, value: ArrayLike, shape: tuple[int | None, ...], dtype: Any = float
 ) -> NDArray:
     """Store `value` on the frozen dataclass `owner` as a read-only array of the given shape (None:
     any length)."""
-    try:
-        with np.errstate(invalid="ignore"):
-            array = np.asarray(value, dtype=dtype)
-    except (TypeError, ValueError, OverflowError):
-        text = f"{type(value).__name__} is not an array of {np.dtype(dtype).name} values"
-        raise InputError(text, source=type(owner).__name__, field=name) from None
+    if type(value) is np.ndarray and value.dtype == dtype:
+        array = value
+    else:
+        array = _converted(owner, name, value, dtype)
     if array.dtype.kind in "iu" and array is not value and not np.array_equal(array, value):
         limits = np.iinfo(array.dtype)
         text = f"a value is not a whole number from {limits.min} to {limits.max}"

@@ -162,9 +162,13 @@ def rim_areas(
 def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
     """Return the 68 % interval of an area, m^2, over all candidate shapes, each with probability,
     area and its standard deviation."""
-    from scipy.special import ndtr  # takes a while to import
+    from scipy.special import ndtr, ndtri  # takes a while to import
 
     likely = [body for body in bodies if body[0] > _LIKELY]
+    if len(likely) == 1:
+        _, area, sd = likely[0]
+        low, high = (max(area + sd * float(ndtri(end)), 0.0) for end in _INTERVAL)
+        return low, high
     p, area, sd = np.array(likely).T
     sd = np.maximum(sd, 1e-9)
     low = float((area - 4 * sd).min())

@@ -212,7 +212,7 @@ def with_curvature_spread(
     are their probabilities and fits, the reported one first. `sharp` is the probability of an edge
     or a point. Its curvature has no maximum; half its possible radii are below half of 1 / SHARP.
     """
-    if shape.family not in _ROUND:
+    if shape.family not in _ROUND or (len(fits) == 1 and sharp < _NEGLIGIBLE):
         return shape
     bent = [(p, _principal(fit)) for p, fit in fits if fit.family.name in _ROUND]
     p = np.array([bending[0] for bending in bent])
@@ -229,9 +229,11 @@ def with_position_spread(shape: ContactShape, others: list[tuple[float, Fit]]) -
     """Return the shape with the covariance of its position over all models. `others` are the
     probabilities and fits of those that are not reported. A round model has its lowest point there,
     and a flat one the center of its face."""
+    if not others or shape.parts:
+        return shape
     cov = shape.pose_cov.copy()
     for probability, fit in others:
-        if not fit.family.parts and not shape.parts:
+        if not fit.family.parts:
             off = place_of(fit.theta, fit.hint) - shape.p_SO
             cov[:3, :3] += probability * np.outer(off, off)
     return replace(shape, pose_cov=cov)
@@ -240,12 +242,15 @@ def with_position_spread(shape: ContactShape, others: list[tuple[float, Fit]]) -
 def with_tip(shape: ContactShape, probability: float) -> ContactShape:
     """Return the shape with the covariance of its position for a tip with `probability`. The lowest
     point of a sharp tip is farther from the sensor than that of the ball that fits it."""
+    if probability < _NEGLIGIBLE:
+        return shape
     size = math.sqrt(max(shape.area, 0.0) / math.pi)
     cov = shape.pose_cov.copy()
     cov[[0, 1, 2], [0, 1, 2]] += probability * (size * np.array(_TIP)) ** 2
     return replace(shape, pose_cov=cov)
 
 
+_NEGLIGIBLE = 1e-6  # probability
 _TIP = (0.2, 0.2, 0.4)  # error of a tip's position over the contact radius
 _ROUND = ("ball", "cylinder", "smooth")
 

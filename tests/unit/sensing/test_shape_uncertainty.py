@@ -8,7 +8,7 @@ import pytest
 
 from mjtactile import QuasistaticMembrane, load_sensor
 from mjtactile.core.types import SHAPES, ContactShape
-from mjtactile.sensing.contact_shape.contact_area import rim_areas
+from mjtactile.sensing.contact_shape.contact_area import interval, rim_areas
 from mjtactile.sensing.contact_shape.fit_state import _whitening
 from mjtactile.sensing.contact_shape.initial_search import Suggestions
 from mjtactile.sensing.contact_shape.random_presses import GROUPS
@@ -157,3 +157,14 @@ def test_a_resumed_solution_is_the_solution():
     assert resumed.converged and first.converged
     np.testing.assert_allclose(resumed.x, whole.x, atol=2e-6)
     assert resumed.force_normal == pytest.approx(whole.force_normal, rel=1e-3)
+
+
+@pytest.mark.parametrize("sd", [2e-6, 30e-6])
+def test_an_area_interval_is_the_same_for_one_model_and_for_two_equal_ones(sd):
+    """Quantiles of a normal distribution, at least zero; the grid of mixtures has 127 steps of
+    eight standard deviations: 1e-4 of one, interpolated."""
+    area = 20e-6
+    one = interval([(1.0, area, sd)])
+    assert one == pytest.approx([max(area - 0.99446 * sd, 0), area + 0.99446 * sd], rel=1e-4)
+    two = interval([(0.5, area, sd), (0.5, area, sd)])
+    assert two == pytest.approx(one, abs=2e-3 * sd)
