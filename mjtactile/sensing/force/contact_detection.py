@@ -117,7 +117,8 @@ def follow(
     moved = estimator.positions(bulge) - estimator.positions(0 * bulge)
     fraction, local = _explain(offsets[ids], moved[ids], markers.cov_p)
     rate = step / (step + s.follow) * (s.slowly if local > s.local_max else 1.0)
-    fraction = float(np.clip(rate * fraction, -s.drift_rate * step, s.drift_rate * step))
+    largest = step * (s.drift_rate if rest.gas_sd is None else s.measured_rate)
+    fraction = float(np.clip(rate * fraction, -largest, largest))
     if rest.gas.constant is None:
         gas = rest.gas
     else:

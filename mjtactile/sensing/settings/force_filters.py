@@ -247,6 +247,11 @@ class ContactDetectionSettings:
     drift_rate: float = number(
         2e-4, "maximum rate of a gas change due to weather instead of touch, 1/s", "0.06 K/s"
     )
+    measured_rate: float = number(
+        1e-6,
+        "the same with a pressure sensor, which measures the weather: drift of its zero, 1/s",
+        "6 Pa per minute",
+    )
     offset_fraction: float = number(
         0.1, "fraction of that speed at which the offset of each marker follows"
     )
