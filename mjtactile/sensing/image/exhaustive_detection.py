@@ -177,7 +177,7 @@ def _is_textured(
     inside, outside = levels
     middle = _RING_POINTS // 4
     contrast = np.abs(outside[:, middle] - inside[:, middle])
-    return outside[:, middle + 2] - outside[:, middle - 2] > s.texture_max * contrast
+    return outside[:, -2] - outside[:, 1] > s.texture_max * contrast
 
 
 def _new(

@@ -249,9 +249,9 @@ class ExhaustiveDetectionSettings:
     )
     texture_max: float = number(
         0.4,
-        "maximum interquartile range of the mean gray levels of opposite points on this ring, "
+        "maximum range of the mean gray levels of opposite points on this ring without its ends, "
         "relative to the contrast",
-        "circles in clutter: up to 0.13; half of the other candidates exceed 0.4",
+        "circles in clutter: up to 0.13; two thirds of the other candidates exceed 0.4",
     )
     retry_blur: float = number(0.7, "minimum blur for repeating a failed fit, px")
     blur_sd_fraction: float = number(0.1, "relative variation of the blur over a photograph")

@@ -146,11 +146,11 @@ def test_circles_on_a_texture_are_found(count):
 
 
 def test_candidates_on_ridges_of_a_texture_are_refused_before_the_fit():
-    """Their fit took most of the time. A fifth of all outlines in isotropic noise lie on a ridge
-    (232 of 1053)."""
+    """Their fit took most of the time. A third of all outlines in isotropic noise lie on a ridge
+    (350 of 1053)."""
     found, rejected, _ = detect_thoroughly(as_pixels(texture(2.5, 25, 0)))
     before = (rejected.status == "as likely a texture").sum()
-    assert before > 0.15 * (len(found) + len(rejected))
+    assert before > 0.25 * (len(found) + len(rejected))
 
 
 def test_a_gradient_of_the_light_is_not_a_texture():
