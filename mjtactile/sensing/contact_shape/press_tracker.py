@@ -58,7 +58,8 @@ def follow(
     grown = data.force > s.check_force * press.force
     changed = grown or data.force < press.force / s.check_force
     new = None
-    if not changed and press.images + 1 < s.check_images:
+    held = press.reported is not None and press.reported.holds(data.force, hint.position)
+    if not changed and (held or press.images + 1 < s.check_images):
         new = _refit_best(forward, press, hint, data)
     # the tracked fit may be stuck
     if new is None or _is_worse(new, press, s):

@@ -163,7 +163,7 @@ class ContactShapeSettings:
         low=1.0,
     )
     check_images: int = number(
-        15, "number of images after which all shape models are evaluated in any case", PRESSED
+        15, "number of images after which all shape models are evaluated, except in a hold", PRESSED
     )
     misfit_asks: float = number(
         1.5, "misfit above which all shape models are searched again", PRESSED

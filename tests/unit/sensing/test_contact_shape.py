@@ -478,3 +478,18 @@ def test_a_slow_load_searches_by_its_growth_since_the_last_search(
     force = touch.force_normal
     press = replace(press, force=force / 1.1, search_force=force / searched)
     assert finder.follow(touch, press, p_rest).shape.kind == kind
+
+
+def test_a_hold_is_followed_without_evaluations(sensor, cases):
+    """All models are evaluated after 15 images, but not while force and position are constant: they
+    would add no evidence."""
+    touch = touch_of(sensor, layout_places(cases[2]))
+    pipeline, state, finder = sensor
+    rest = state.reference.rest
+    p_rest = pipeline.inverse.positions(rest.c) + rest.offset
+    press = finder.follow(touch, None, p_rest).press
+    due = replace(press, images=DEFAULTS.contact_shape.check_images)
+    assert finder.follow(touch, due, p_rest).press.images == due.images + 1
+    reported = replace(press.reported, position=press.reported.position + [1e-3, 0])
+    moved = replace(due, reported=reported)
+    assert finder.follow(touch, moved, p_rest).press.images == 0
