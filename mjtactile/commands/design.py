@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from mjtactile import Camera, InputError, SensorDesign, load_sensor
 from mjtactile.commands import arguments as arg
 from mjtactile.commands.output import optional_folder, print_result, save_plot, stdout_to_stderr
-from mjtactile.core import foreign_file
+from mjtactile.core import foreign_file, signals
 from mjtactile.recording.files import write_json
 from mjtactile.runtime.progress import Progress
 
@@ -56,7 +57,8 @@ JSON, of a file: {"sensor", "force_N", "performance": {"detection_mN",
 [{"change", "performance", "why_not"}]}; of a requirement: {"sensor", "force_N", "requirements",
 "initial", "candidates": [{"performance", "missed", "meets", "on_front", "rows", "columns", ...}],
 "best": [{"file", ...}], "requirement_table": [{"requirement", "required", "limit", "met", "of"}],
-"checked": [{..., "range": {"claimed", "confirmed", "is_confirmed", ...}}]}.
+"checked": [{..., "range": {"claimed", "confirmed", "is_confirmed", ...}}],
+"stopped": null, or "interrupted" (with exit code 3): the results are those of a part}.
 More: `mjtactile docs how-to/design`."""
 _REQUIREMENTS = ("detect_force_mN", "range_N", "edge_mm", "radius_mm")
 
@@ -174,7 +176,11 @@ def _run_search(
             write_json(out / "design.json", result)
             _write_requirements(out, result, files)
     print_result(options, result, lambda: _print_requirements(result, options.out))
-    return 0
+    if result["stopped"] is None:
+        return 0
+    complete = f"{len(result['candidates'])} of {options.count} designs"
+    print(f"mjtactile: {result['stopped']}; the result is that of {complete}", file=sys.stderr)
+    return signals.EXIT_CODE
 
 
 def _base_sensor(options: argparse.Namespace) -> SensorDesign:

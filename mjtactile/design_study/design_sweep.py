@@ -37,6 +37,7 @@ _EDGE = 2.0e-3  # distance from the frame to the edges of the outermost markers,
 _FEWEST_PX = 6.0
 """px, a marker's radius on the flat membrane: smaller ones are fitted by all their pixels."""
 _MAX_MARKERS = 400
+INTERRUPTED = "interrupted"
 _TRIES = 40  # maximum number of samples per feasible design
 
 Notify = Callable[[str], None]
@@ -96,7 +97,7 @@ def sweep(
     count: int = 48,
     seed: int = 0,
     notify: Notify = lambda _: None,
-) -> list[DesignCandidate]:
+) -> tuple[list[DesignCandidate], str | None]:
     """Sample designs and predict the performance of each.
 
     Args:
@@ -109,7 +110,8 @@ def sweep(
         notify: Called with progress messages.
 
     Returns:
-        The designs that can be built and used for sensing, with the front marked.
+        The designs that can be built and used for sensing, with the front marked; and None, or
+        "interrupted" if they are those sampled before.
 
     Raises:
         InputError: No design is feasible.
@@ -118,18 +120,24 @@ def sweep(
     sequence = qmc.Sobol(len(_RANGES), seed=seed)  # pyright: ignore[reportCallIssue]
     candidates: list[DesignCandidate] = []
     refused: Counter[str] = Counter()
-    for _ in range(_TRIES * count):
-        if len(candidates) == count:
-            break
-        unit = sequence.random(1)[0]
-        samples = _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1)
-        try:
-            candidates.append(_evaluate_candidate(design, samples, force, requirements, given))
-        except (InputError, MjtactileError) as error:  # infeasible to build or to use for sensing
-            refused[str(getattr(error, "field", None) or error)] += 1
-            continue
-        if len(candidates) % 8 == 0:
-            notify(f"{len(candidates)} of {count} designs")
+    stopped = None
+    try:
+        for _ in range(_TRIES * count):
+            if len(candidates) == count:
+                break
+            unit = sequence.random(1)[0]
+            samples = _RANGES[:, 0] + unit * np.ptp(_RANGES, axis=1)
+            try:
+                candidates.append(_evaluate_candidate(design, samples, force, requirements, given))
+            except (InputError, MjtactileError) as error:  # infeasible to build or for sensing
+                refused[str(getattr(error, "field", None) or error)] += 1
+                continue
+            if len(candidates) % 8 == 0:
+                notify(f"{len(candidates)} of {count} designs")
+    except KeyboardInterrupt:
+        if not candidates:
+            raise
+        stopped = INTERRUPTED
     if refused:
         causes = ", ".join(f"{name} ({many})" for name, many in refused.most_common(3))
         notify(f"{refused.total()} samples were refused: {causes}")
@@ -140,7 +148,7 @@ def sweep(
             source=design.name,
             field="--sensor",
         )
-    return with_front(candidates)
+    return with_front(candidates), stopped
 
 
 def _evaluate_candidate(

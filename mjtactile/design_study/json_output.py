@@ -11,7 +11,13 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.errors import InputError, MjtactileError
 from mjtactile.design_study import predict_file, sensor_file_edit
 from mjtactile.design_study.buildability import check_by_simulation
-from mjtactile.design_study.design_sweep import DesignCandidate, Requirements, best, sweep
+from mjtactile.design_study.design_sweep import (
+    INTERRUPTED,
+    DesignCandidate,
+    Requirements,
+    best,
+    sweep,
+)
 from mjtactile.design_study.given_hardware import ALL_FREE, GivenHardware
 from mjtactile.design_study.plots import number
 from mjtactile.design_study.prediction_check import check, check_range, verdict
@@ -57,14 +63,19 @@ def from_requirements(
         notify: Called with progress messages.
 
     Returns:
-        The JSON's object, and the best sensors' files by name.
+        The JSON's object, and the best sensors' files by name. After an interruption they are those
+        of the completed part, and "stopped" is the reason.
     """
     notify(f"performance of {design.name}")
     initial = _initial(design, force, requirements)
-    sampled = sweep(design, force, requirements, given=given, count=count, seed=seed, notify=notify)
+    sampled, stopped = sweep(
+        design, force, requirements, given=given, count=count, seed=seed, notify=notify
+    )
     notify("checking the best designs as `mjtactile fabricate` does")
     picked, candidates = best(sampled, max(_WRITTEN, check), check_by_simulation, notify)
     named = {f"best_{number}": candidate for number, candidate in enumerate(picked, 1)}
+    chosen = [replace(candidate.design, name=name) for name, candidate in named.items()]
+    checked, interrupted = _until_interrupted(chosen[: 0 if stopped else check], seed, notify)
     texts = {f"{name}.toml": _text(name, candidate, force) for name, candidate in named.items()}
     result = {
         "sensor": design.name,
@@ -80,12 +91,23 @@ def from_requirements(
         "initial": initial,
         "candidates": [_row(candidate) for candidate in candidates],
         "best": [{"file": f"{name}.toml"} | _row(candidate) for name, candidate in named.items()],
-        "checked": [
-            _checked(replace(candidate.design, name=name), 4, seed, notify)
-            for name, candidate in list(named.items())[:check]
-        ],
+        "checked": checked,
+        "stopped": stopped or interrupted,
     }
     return result, texts
+
+
+def _until_interrupted(
+    designs: Sequence[SensorDesign], seed: int, notify: Notify
+) -> tuple[list[dict[str, Any]], str | None]:
+    """Check designs in full simulation; return the completed checks, and "interrupted" or None."""
+    checked = []
+    try:
+        for design in designs:
+            checked.append(_checked(design, 4, seed, notify))
+    except KeyboardInterrupt:
+        return checked, INTERRUPTED
+    return checked, None
 
 
 def _initial(design: SensorDesign, force: float, requirements: Requirements) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Completed steps of `press` and `inflate` are kept after a failure or an interruption."""
+"""Completed parts of `press`, `inflate` and `design` are kept after a failure or an interruption."""
 
 import json
 
@@ -6,6 +6,9 @@ import pytest
 
 from mjtactile.cli import main
 from mjtactile.core.design import load_sensor
+from mjtactile.design_study import design_sweep, json_output
+from mjtactile.design_study.design_sweep import DesignCandidate
+from mjtactile.design_study.score import Score
 from mjtactile.experiments.indentation import IndentationPlan, press
 from mjtactile.sim.scenes.indentation import Indenter
 
@@ -39,3 +42,26 @@ def test_steps_before_an_interruption_are_returned():
     assert result["stopped"] == "interrupted"
     with pytest.raises(KeyboardInterrupt):
         pressed(keep_partial=False)
+
+
+def test_designs_before_an_interruption_are_written(tmp_path, capsys, monkeypatch):
+    """Ctrl-C after the first design of eight. Predictions, which take seconds, are made up."""
+    reached = Score(0.02, 0.01, 0.01, 0.005, 2e-4, 1e-4, 4e-3, 3.0)
+    designs = iter([DesignCandidate(load_sensor("dense"), reached, ())])
+
+    def interrupted(*given):
+        try:
+            return next(designs)
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr(design_sweep, "_evaluate_candidate", interrupted)
+    monkeypatch.setattr(json_output, "score", lambda design, force: reached)
+    monkeypatch.setattr(json_output, "check_by_simulation", lambda design: None)
+    out = tmp_path / "designs"
+    assert main(["design", "--edge-mm", "0.2", "--count", "8", "--out", str(out)]) == 3
+    result = json.loads((out / "design.json").read_text())
+    assert result["stopped"] == "interrupted"
+    assert len(result["candidates"]) == 1
+    assert (out / "best_1.toml").is_file()
+    assert "interrupted; the result is that of" in capsys.readouterr().err

@@ -235,13 +235,14 @@ class PressWorld(World):
             still = still + 1 if np.abs(self.data.qvel).max() < speed else 0
             if still >= needed:
                 break
-        is_steady = np.ptp(forces) < _STEADY_FRACTION * abs(forces[-1])
+        range_ = float(np.ptp(forces))
+        is_steady = range_ < _STEADY_FRACTION * abs(forces[-1])
         if still >= needed or (loaded and is_steady):
             self.update_flags({}, {Cadence.SETTLING})
             return True
         reason = (
             f"the membrane did not come to rest in {time_limit:g} s: forces are those of a "
-            "moving membrane; use a smaller timestep"
+            f"moving membrane, whose load varies by {range_:.2g} N"
         )
         self.update_flags({"unsettled": reason}, {Cadence.SETTLING})
         return False
