@@ -12,11 +12,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from mjtactile.core.design import SensorDesign
-from mjtactile.core.flags import Flags
+from mjtactile.core.flags import Flags, merge_flags
 from mjtactile.core.types import Array, Touch
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.explore.next_best_touch import Aim
 from mjtactile.explore.patch_from_touch import Pressed
+from mjtactile.runtime.uncertain_force_monitor import UncertainForceMonitor
 from mjtactile.sim.scenes.objects import ObjectModel
 from mjtactile.sim.scenes.stage import ObjectOnStage, ObjectOnStageWorld
 
@@ -64,12 +65,13 @@ class SimulatedStage:
         # unknown offset of the object after it was turned upside down
         self._seat = _SEAT_SD * np.random.default_rng([seed, 32]).normal(size=3)
         self._view = View(self.world, design, seed=seed)
+        self._uncertain = UncertainForceMonitor(["sensor"])
         take_references(self.world, [self._view], design.chamber.supply_gauge)
 
     @property
     def flags(self) -> Flags:
-        """Flags of reduced simulation accuracy."""
-        return self.world.flags
+        """Flags of reduced accuracy of the simulation and of the estimated forces."""
+        return merge_flags((self.world.flags, self._uncertain.flags))
 
     def is_reachable(self, aim: Aim) -> bool:
         """Return True if the sensor can reach the target. It always can: the area under the holder
@@ -120,4 +122,6 @@ class SimulatedStage:
             depth += _STEP
             self.world.drive(depth)
             self.world.step(round(_STILL / self.world.timestep))
-            yield self._view.touch()
+            touch = self._view.touch()
+            self._uncertain.on_touches(self.world.time, [touch])
+            yield touch

@@ -3,6 +3,7 @@ raise it, and no controller reacts to it."""
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import mjtactile
 from mjtactile.core.flags import FLAGS
 from mjtactile.experiments.indentation import IndentationPlan, Indenter, press
+from mjtactile.explore.stage import SimulatedStage
 from mjtactile.gym.env import GraspEnv
 from mjtactile.runtime import uncertain_force_monitor
 from mjtactile.runtime.uncertain_force_monitor import KIND, UncertainForceMonitor
@@ -129,3 +131,21 @@ def test_every_loop_reports_the_flag(monkeypatch, use):
     assert KIND not in use()
     monkeypatch.setattr(uncertain_force_monitor, "_SD_FRACTION", 0.0)
     assert KIND in use()
+
+
+def test_touches_of_the_simulated_stage_are_watched():
+    """A made-up sensor measures 1 N with 0.4 N; images are 0.1 s apart."""
+    stage: Any = object.__new__(SimulatedStage)
+    world = SimpleNamespace(time=0.0, timestep=2e-3, flags={}, turn=lambda *_: None)
+    world.drive = lambda depth: None
+    touch = SimpleNamespace(force_normal=1.0, force_normal_sd=0.4, touching=True)
+
+    def step(steps):
+        world.time += steps * world.timestep
+
+    world.step = step
+    stage.world = world
+    stage._view = SimpleNamespace(touch=lambda: touch)
+    stage._uncertain = UncertainForceMonitor(["sensor"])
+    assert len(list(stage._lower(np.eye(3), np.zeros(3)))) > 5
+    assert "sensor measures 1 N" in stage.flags[KIND]
