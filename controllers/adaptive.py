@@ -32,6 +32,9 @@ from mjtactile.grasp_estimation import (
 from mjtactile.types import Command, Observation
 
 MAX_FORCE, MIN_FORCE = 2.2, 0.18  # grip force limits per finger, N; the first grip uses the minimum
+# minimum in the air: 0.1 N may be put on it without notice, faster than the jaws follow, and the
+# first contact takes as much anyway
+HOLD_FORCE = 0.30
 MIN_TEST_FORCE = 0.10  # minimum force, N, of the friction test close over the table
 # touch threshold, N, well above noise; maximum push, N, until both fingers touch
 TOUCH_FORCE, MAX_PUSH = 0.08, 0.5
@@ -102,7 +105,8 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
         touch,
         observation.period,
         is_test=memory["risk"] == TEST_RISK,
-        is_hanging=len(_stored(LoadEstimator, command).down) > 0,
+        # the table may take the load of a lowered object
+        is_hanging=len(_stored(LoadEstimator, command).down) > 0 and command.phase != "lower",
     )
     is_slipping = friction.grows or slip_sign(touch) == 2
     frames = _stored(FrameLoadEstimator, command).after(
@@ -111,7 +115,8 @@ def grip_as_needed(observation: Observation, command: Command, forces: list[floa
     load = _stored(LoadEstimator, command).after(touch, observation.period, is_slipping=is_slipping)
     slip_time = 0.0 if is_slipping else memory["slip_time"] + observation.period
     goal = observation.goal
-    worst, minimum = load.expected(len(touch), goal.push, goal.acceleration), MIN_FORCE
+    worst = load.expected(len(touch), goal.push, goal.acceleration)
+    minimum = HOLD_FORCE if len(load.down) else MIN_FORCE
     if memory["risk"] == TEST_RISK:  # the tested friction must be fully used
         worst = load.maximum
         minimum = max(MIN_TEST_FORCE, memory["target"] * (1 - LOOSENING * observation.period))
@@ -210,11 +215,14 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
 
 
 def _test_friction(now: Observation, command: Command) -> Command:
-    """Reduce the grip force, until friction is known or the minimum grip suffices."""
+    """Reduce the grip force, until friction is known or the test cannot show more of it."""
     memory = command.memory
     friction = _stored(FrictionFilter, command)
     median = friction.quantile(0.5)
     is_known = friction.quantile(0.05) > KNOWN * median or median > FRICTION_MAX
+    # a light object cannot use more friction than is certain already
+    most_used = _stored(LoadEstimator, command).maximum / MIN_TEST_FORCE
+    is_known |= most_used < friction.utilization(RISK)
     test_time = memory["test_time"] + now.period
     slipped = memory["slip_time"] == 0.0
     if is_known or slipped or test_time > TEST_TIME:

@@ -32,6 +32,8 @@ _LOST = 4.5
 # an outlier: maximum loss in the first image, as a fraction of the shear; maximum change of the
 # shear across the load and of the normal force, as fractions of the loss
 _MAX_LOST, _ACROSS, _NORMAL = 0.06, 0.5, 1.0
+# utilization of a finger that slides alone, relative to the largest one of those that stick
+_LESS_USED = 0.85
 _SPREAD_TIME, _SPREAD_MIN = 0.5, 5e-4  # time constant of that rms, s, and its minimum, N
 _HELD_TIME = 2.0  # time constant of the largest utilization without slip, s
 _REPORT_TIME = 0.15  # duration of a slip report after the slip, s
@@ -135,11 +137,22 @@ class SlipSigns:
             slid = float(utilization[slides].mean())
         moved, loses = self._transfer(forces)
         loses &= is_hanging and abs(changes[0]) < ANSWER_MIN
-        if (moves := (slides & grows) | loses).any():
+        moves = (slides & grows) | loses
+        if moves.any() and self._may_slide(moves, utilization):
             slip, slid = MOVES, float(utilization[moves].mean())
             speed = max(float(np.subtract(distances, self.distances)[moves].max()) / period, 0.0)
         evidence = (slip, ages, *changes, slid, speed, forces.tolist(), moved)
         return Signs(press, drag, recent, distances, *evidence)
+
+    def _may_slide(self, moves: NDArray[np.bool_], utilization: Array) -> bool:
+        """Return True if the fingers that move use most friction, now or in the mean. A finger that
+        moves although others use more and stick is turned or rolled over by the object."""
+        if moves.all() or len(self.forces) != len(moves):
+            return True
+        before = np.array(self.forces)
+        held = np.linalg.norm(before[:, :2], axis=1) / np.maximum(before[:, 2], _FORCE_MIN)
+        used = np.maximum(utilization, held)
+        return bool(used[moves].max() > _LESS_USED * used[~moves].max())
 
     def _transfer(self, forces: Array) -> tuple[float, NDArray[np.bool_]]:
         """Return the shear that moved between the fingers, N, and (n,) if a finger lost it."""

@@ -241,13 +241,15 @@ def test_a_rig_without_a_gantry_refuses_a_task_with_waypoints():
 @pytest.mark.slow(3)
 @pytest.mark.parametrize("task", ["carry", "stack", "slosh"])
 def test_adaptive_holds_a_vial_in_the_tasks_with_motion(task):
-    """The grip is above the required one, and the vial of `carry` stands at the end of the path."""
+    """The grip is above the required one, at most six times or the minimum of 0.3 N in the air. The
+    vial of `carry` stands at the end of the path."""
     scenario = Scenario(
         task=task, object="vial", controller="adaptive", effects="-mesh,-pipeline", seed=6
     )
     result = run_grasp(scenario)
     assert result.outcome == "held", result.reason
-    assert 1.0 < result.measures["margin_true"] < 6.0
+    margin = result.measures["margin_true"]
+    assert margin > 1.0 and (margin < 6.0 or result.hold_force_true < 1.1 * 0.3)
     if task == "carry":
         assert result.measures["place_error_mm_true"] < 5.0
 

@@ -172,6 +172,15 @@ def test_other_changes_of_shear_are_no_slip(drags, presses, across):
     assert not held.after(two_fingers(drags, presses, across), PERIOD).grows
 
 
+@pytest.mark.parametrize(("drags", "is_slip"), [((0.15, 0.25), False), ((0.22, 0.25), True)])
+def test_a_finger_that_moves_where_another_one_uses_more_friction_does_not_slide(drags, is_slip):
+    """Both have the same friction: an object that turns or rolls moves over one finger. Utilizations
+    that differ by 12 % are equal within the errors of the forces."""
+    held = steady_hold(drags)
+    moving = touches(drags[0], 0.5, "slipping", 7e-5)[:1] + touches(drags[1], 0.5)[:1]
+    assert held.after(moving, PERIOD).grows == is_slip
+
+
 def test_the_hold_itself_sets_the_noise_of_a_moving_shear():
     """A shaken object moves its shear between the fingers by 10 mN all the time."""
     friction = steady_hold((0.22, 0.19))
