@@ -178,9 +178,10 @@ class ContactShapeEstimator:
             )
             return _unknown(Status(StatusCode.FIT_FAILED, text), probabilities, misfit)
         weighed = []
+        own = max(1.0, misfit)  # without the model error, which `area_sd` adds
         for probability, found in press.bodies():
             total = sum(areas(self.forward, found, s))
-            weighed.append((probability, total, area_sd(found, total, scale, s)))
+            weighed.append((probability, total, area_sd(found, total, own, s)))
         spread = scale * press.candidates[0].common.variance_factor
         other = press.other
         if other is not None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.contact_area import FACES
 from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior, Problem
@@ -29,7 +30,8 @@ FOLLOWED = 3  # rounds of a fit that is followed
 # Thresholds of such a fit: the pose changes little, and the next image continues it
 FOLLOWING = {"settled": 0.5, "far": 25.0}
 _UNDAMPED = 1e-8
-EVALUATED = 4  # the same, at an evaluation of all candidates
+_SAME_FORCE = 1.4  # force ratio up to which the last Jacobian predicts the start of a fit
+EVALUATED = 5  # the same, at an evaluation of all candidates
 _CENTERED = ("x", "y", "z", "tilt_x", "tilt_y", "lean")  # parameters reset by a restart
 _PARTS = ("ball", "cylinder", "disc", "block")
 
@@ -45,8 +47,8 @@ def warm_start(
     known: float = math.inf,
     limits: Mapping[str, float] | None = None,
 ) -> Fit | None:
-    """Refit one shape model to a new image. The prior comes from earlier images. The start is the
-    step that the last Jacobian predicts from the last pose. The fit stops early when its cost stays
+    """Refit one shape model to a new image. The prior comes from earlier images. The start is
+    predicted from the last pose. The fit stops early when its cost stays
     far above `known`, the cost of a competing model. `limits` are thresholds of `refine`."""
     hint = _matched(newest.hint, hint)
     prior = candidate.common.prior(candidate.fit, noise, hint)
@@ -63,16 +65,35 @@ def _start(problem: Problem, newest: Fit) -> FitState | None:
     """Return the start state of a fit, predicted from the fit `newest`; None: the solver did not
     converge."""
     family = problem.family
-    before = problem.state(family.rebased(newest.theta, newest.hint, problem.hint), newest.state)
-    slopes = newest.slopes.seen(problem.data)
-    step = damped_step(slopes, before, family, problem.prior, _UNDAMPED)
-    theta = before.theta + step.by * family.sd
+    same = family.rebased(newest.theta, newest.hint, problem.hint)
+    ratio = problem.data.force / newest.force
+    if 1 / _SAME_FORCE < ratio < _SAME_FORCE:
+        before = problem.state(same, newest.state)
+        slopes = newest.slopes.seen(problem.data)
+        step = damped_step(slopes, before, family, problem.prior, _UNDAMPED)
+        theta = same + step.by * family.sd
+    else:
+        theta = _deeper(problem, same, newest)
     # on flat faces the solver may oscillate from one start and converge from another
     return (
         problem.fit_state(theta, newest.state)
-        or problem.fit_state(before.theta, newest.state)
+        or problem.fit_state(same, newest.state)
         or problem.fit_state(theta, None)
     )
+
+
+def _deeper(problem: Problem, theta: Array, newest: Fit) -> Array:
+    """Return the parameters `theta` (k,) shifted in depth by the change of force divided by the
+    contact stiffness."""
+    family = problem.family
+    heights = family.heights
+    moved = theta.copy()
+    # total contact stiffness, N/mm
+    stiffness = -newest.slopes.sums[2, heights].sum() / family.sd[heights[0]]
+    if stiffness < 0:
+        change = (problem.data.force - newest.force) / stiffness
+        moved[heights] += np.clip(change, -1.0, 1.0)
+    return moved
 
 
 def restart_fit(
