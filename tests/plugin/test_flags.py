@@ -45,6 +45,16 @@ def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
     assert reported == pytest.approx(on_frame, rel=0.3)
 
 
+def test_a_short_contact_of_the_frame_is_flagged_without_a_mesh():
+    """Checks of quasi-static membranes are 0.1 s apart, and five of them were needed: 0.5 s."""
+    design = mjtactile.load_sensor("dense")
+    rim = design.frame.length / 2 + design.frame.rim / 2
+    geom = '<geom size="0.02" mass="0.5"/>'
+    model, data, finger = scene(geom, x=rim, z=0.1215, effects="-mesh")
+    mjtactile.step(model, data, [finger], nstep=round(0.25 / model.opt.timestep))
+    assert "with " in finger.flags["frame_contact"]
+
+
 @pytest.mark.parametrize(
     ("turned", "above", "steps"),
     [(0, 0.006, 150), pytest.param(45, 0.0085, 300, marks=pytest.mark.slow)],

@@ -11,7 +11,9 @@ from mjtactile.sim.sensor import carrier_geoms, contact_loads, feature_size
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 from mjtactile.sim.sensor.sensor_types import AnySensor
 
-_FRAMED = 0.2  # force on frame or carrier over five checks, N
+_FRAMED = 0.2  # force on frame or carrier that lasts for 0.1 s, N
+# checks in this time; those of quasi-static membranes are rare
+_LASTING, _LASTING_QS = 5, 2
 # chatter over two checks: fraction of the force, and N
 _CHATTER = 0.02
 _MIN_CHATTER = 5e-3
@@ -25,8 +27,10 @@ class ForceFlags:
         self._data = data
         self._sensors = sensors
         # force at the last checks, N
-        self._framed = [deque([0.0] * 5, 5) for _ in sensors]
-        self._bypassed = [deque([0.0] * 5, 5) for _ in sensors]
+        is_quasistatic = all(isinstance(sensor, QuasistaticSensor) for sensor in sensors)
+        count = _LASTING_QS if is_quasistatic else _LASTING
+        self._framed = [deque([0.0] * count, count) for _ in sensors]
+        self._bypassed = [deque([0.0] * count, count) for _ in sensors]
         self._chattered = [deque([0.0] * 2, 2) for _ in sensors]  # the same of the chatter
         # by kind, the largest lasting force, N, and its text
         self._largest: dict[str, tuple[float, str]] = {}
