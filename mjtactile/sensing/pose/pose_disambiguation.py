@@ -88,8 +88,7 @@ def _probability(
     ok = known & (poses.status == "ok")
     best = -np.inf
     q = prior
-    for sd in _shared_sds(s):
-        spread = _density(n, surface, _bounded(cov_n, s) + cov, sd)
+    for spread in _densities(n, surface, _bounded(cov_n, s) + cov, _shared_sds(s)):
         density = np.where(known, spread, 0.0)
         fraction, evidence = _share_on_surface(density[:, ok], prior[:, ok], s)
         if evidence > best:
@@ -139,16 +138,19 @@ def _bounded(cov_n: Array, s: PoseDisambiguationSettings) -> Array:
     )
 
 
-def _density(n: Array, mean: Array, cov: Array, minimum: float) -> Array:
-    """Compute the normal density (2, N) per steradian of unit vectors `n` (2, N, 3). The mean is
-    `mean` (N, 3). The covariance is `cov` (2, N, 3, 3) plus the square of `minimum`, rad."""
+def _densities(n: Array, mean: Array, cov: Array, minima: Array) -> Array:
+    """Compute the normal densities (m, 2, N) per steradian of unit vectors `n` (2, N, 3). The mean
+    is `mean` (N, 3). The covariance is `cov` (2, N, 3, 3) plus the square of each of `minima` (m,),
+    rad."""
     T = np.stack(geometry.tangents(mean), axis=1)  # shape (N, 2, 3)
-    d = np.einsum("nij,knj->kni", T, n - mean)
+    d0, d1 = np.einsum("nij,knj->ikn", T, n - mean)
     S = T @ cov @ T.transpose(0, 2, 1)
-    S += minimum**2 * np.eye(2)
-    far = np.einsum("kni,kni->kn", d, np.linalg.solve(S, d[..., None])[..., 0])
+    S00, S11 = (S[..., i, i] + minima[:, None, None] ** 2 for i in range(2))
+    S01 = S[..., 0, 1]
+    det = S00 * S11 - S01**2
+    far = (d0**2 * S11 - 2 * d0 * d1 * S01 + d1**2 * S00) / det
     behind = np.einsum("kni,ni->kn", n, mean) < 0
-    return np.where(behind, 0.0, np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(np.linalg.det(S))))
+    return np.where(behind, 0.0, np.exp(-0.5 * far) / (2 * np.pi * np.sqrt(det)))
 
 
 def _surface_normals(
@@ -198,7 +200,8 @@ def _fit_planes(A: Array, b: Array, weight: Array) -> tuple[Array, Array, Array,
     the inverse normal matrices (N, 3, 3), the residuals (N, k) and a validity mask (N,)."""
     At = A.transpose(0, 2, 1) * weight[:, None]
     normal = At @ A
-    known = np.linalg.cond(normal) < 1e12  # circles in one row have no plane
+    eigenvalues = np.linalg.eigvalsh(normal)
+    known = eigenvalues[:, 0] > 1e-12 * eigenvalues[:, -1]  # circles in one row have no plane
     normal[~known] = np.eye(3)
     inverse = np.linalg.inv(normal)
     plane = (inverse @ (At @ b[..., None]))[..., 0]
