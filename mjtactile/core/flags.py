@@ -204,7 +204,7 @@ _KINDS = (
         "unsettled",
         "`press` or `inflate` did not come to rest",
         "vibration, a light load",
-        "a smaller time step",
+        "more load",
         Cadence.SETTLING,
     ),
 )
