@@ -54,11 +54,13 @@ class Policy:
         act: The function.
         inputs: Length of its vector.
         source: Its file, for messages.
+        layers: Weights (outputs, inputs) and biases (outputs,), first to last; none of FILE.onnx.
     """
 
     act: Callable[[Array], Array]
     inputs: int
     source: str
+    layers: _Layers = ()
 
     def __call__(self, observation: ArrayLike) -> Array:
         """Evaluate the policy.
@@ -201,7 +203,7 @@ def _load_npz(path: Path) -> Policy:
             x = w @ (between(x) if k else x) + b
         return x
 
-    return Policy(act, layers[0][0].shape[1], str(path))
+    return Policy(act, layers[0][0].shape[1], str(path), layers)
 
 
 def _require_bounded(archive: zipfile.ZipFile, path: Path) -> None:

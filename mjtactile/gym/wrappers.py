@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mjtactile.core import policy_file
+from mjtactile.core.errors import InputError
 from mjtactile.core.policy import policy_observation_names
 
 _UNITS = {"N": 1.0, "Nm": 5e-3, "m": 0.04, "s": 1.0}
@@ -88,3 +89,25 @@ def save_policy(
         output_center=MIDDLE,
         output_scale=SPAN,
     )
+
+
+def policy_layers(path: str | Path) -> list[tuple[NDArray, NDArray]]:
+    """Read the layers of a file of `save_policy`, to continue learning.
+
+    Args:
+        path: File, .npz.
+
+    Returns:
+        Weights (outputs, inputs) and biases (outputs,) of each layer, as they were saved.
+
+    Raises:
+        InputError: The file is missing or broken.
+    """
+    layers = [(np.array(w), np.array(b)) for w, b in policy_file.load_policy(path).layers]
+    if not layers:
+        raise InputError("has no layers", source=path, choices=["FILE.npz"])
+    w, b = layers[0]
+    layers[0] = (w * SCALE, b)
+    w, b = layers[-1]
+    layers[-1] = (w / SPAN[:, None], (b - MIDDLE) / SPAN)
+    return layers

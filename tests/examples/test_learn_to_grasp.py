@@ -61,3 +61,8 @@ def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
         scaled = torch.tensor((shown / SCALE).astype(np.float32))
         requested = actor.mlp(scaled).detach().numpy()
         np.testing.assert_allclose(policy(shown), MIDDLE + SPAN * requested, atol=1e-5)
+    # learned further: the critic learns first, so that the first round changes no weight
+    path = tmp_path / "policy.npz"
+    further, _ = example["learn"](1e-3, 2, "cpu", ["lift"], object="egg", path=path)
+    for layer, saved in zip(*map(example["linear_layers"], (further, actor)), strict=True):
+        np.testing.assert_allclose(layer.weight.detach(), saved.weight.detach(), atol=1e-6)

@@ -8,8 +8,16 @@ import gymnasium
 import numpy as np
 import pytest
 
+from mjtactile.core.errors import InputError
 from mjtactile.core.policy import policy_bounds
-from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, ActionRepeatScaling, save_policy
+from mjtactile.gym.wrappers import (
+    MIDDLE,
+    SCALE,
+    SPAN,
+    ActionRepeatScaling,
+    policy_layers,
+    save_policy,
+)
 
 CHECKOUT = Path(__file__).resolve().parents[3]
 
@@ -70,3 +78,19 @@ def test_a_file_acts_as_the_network_behind_the_scales(tmp_path, monkeypatch, wid
             x = weights @ (np.tanh(x) if k else x) + biases
         # the same sums in another order
         np.testing.assert_allclose(controller["load"](path)(shown), MIDDLE + SPAN * x, rtol=1e-9)
+
+
+@pytest.mark.parametrize("widths", [(len(SCALE), 3), (len(SCALE), 8, 5, 3)])
+def test_layers_of_a_file_are_the_saved_layers(tmp_path, widths):
+    rng = np.random.default_rng(0)
+    layers = [
+        (rng.normal(size=(b, a)), rng.normal(size=b))
+        for a, b in zip(widths[:-1], widths[1:], strict=True)
+    ]
+    path = tmp_path / "policy.npz"
+    save_policy(path, layers, activation="tanh")
+    for found, saved in zip(policy_layers(path), layers, strict=True):
+        for one, other in zip(found, saved, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12)  # rounding of the scales
+    with pytest.raises(InputError, match="no such file"):
+        policy_layers(tmp_path / "other.npz")
