@@ -31,6 +31,10 @@ PAIRS_FILE = "gpu-pairs.jsonl"
 PRESSES = {True: 8, False: 60}
 """Random presses of each kind of object, in a quick run and otherwise."""
 WORLDS = (4096, 16384, 1024)
+REPEATED = 8
+"""Control steps for each random action."""
+TOUCHING = 0.02
+"""Normal force of a contact, N."""
 _LIMIT = 400.0
 _TIMED = 260  # control steps, up to the hold
 REQUIREMENTS = {
@@ -49,7 +53,7 @@ def run(
     pairs: int | None = None,
     notify: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Measure agreement and, on a GPU, speed, memory and failures.
+    """Measure agreement and failures and, on a GPU, speed and memory.
 
     Args:
         out: Folder of PAIRS_FILE. An interrupted run continues with the pairs that it lacks.
@@ -58,7 +62,7 @@ def run(
         notify: Receiver of progress messages.
 
     Returns:
-        "device", "pairs", "presses" and, on a GPU, "speed", "tactile", "solutions" and "failures".
+        "device", "pairs", "presses", "failures" and, on a GPU, "speed", "tactile", "solutions".
         "skipped" names the parts for which no time was left.
     """
     import warp as wp
@@ -85,6 +89,8 @@ def run(
         ("presses", lambda kind=kind: press_objects(kind, PRESSES[quick], str(device)))
         for kind in KINDS
     ]
+    if not device.is_cuda:
+        parts.append(_failure_part(4 if quick else 32, 400 if quick else 10**4, str(device)))
     for name, measure in parts:
         if time.monotonic() > start + _LIMIT and device.is_cuda:
             result["skipped"].append(name)
@@ -106,9 +112,13 @@ def _speed_parts(
         ("tactile", lambda: speeds(worlds[0], device, 500)),
         ("solutions", lambda: _solutions(8192, device)),
         *(("speed", lambda n=n: _speed(n, commands, device)) for n in worlds[1:]),
-        ("failures", lambda: _failures(worlds[0], 10**5 if quick else 10**6, device)),
+        _failure_part(worlds[0], 10**5 if quick else 10**6, device),
         ("solutions", lambda: _solutions(32768, device)),
     ]
+
+
+def _failure_part(worlds: int, steps: int, device: str) -> tuple[str, Callable[[], dict[str, Any]]]:
+    return "failures", lambda: _failures(worlds, steps, device)
 
 
 def _worlds(count: int, device: str, how: Mapping[str, Any]) -> Any:
@@ -178,24 +188,33 @@ def _solutions(count: int, device: str) -> dict[str, Any]:
 
 
 def _failures(worlds: int, steps: int, device: str) -> dict[str, Any]:
-    """Count the worlds with a rejected solution or an invalid state under random actions."""
+    """Count rejected solutions and invalid states under random actions, which squeeze objects.
+
+    Each action is repeated as long as a decision of a learner.
+    """
     rng = np.random.default_rng(SEED)
-    many = _worlds(worlds, device, {"object": "egg", "randomization": "default"})
+    many = _worlds(worlds, device, {"object": RANDOM, "randomization": "default"})
     many.reset(seed=SEED)
     rounds = max(1, steps // worlds)
-    rejected, errors = np.zeros(worlds, bool), 0
-    for _ in range(rounds):
-        many.step(rng.uniform(-1, 1, (worlds, 3)).astype(np.float32))
+    rejected, errors, touching, before = 0, 0, 0, np.zeros(worlds, int)
+    for k in range(rounds):
+        if k % REPEATED == 0:
+            actions = rng.uniform((-1.25, -1, -1), (0.75, 0.2, 1), (worlds, 3)).clip(-1)
+        many.step(actions.astype(np.float32))
         truth = many.unwrapped.truth()
-        rejected |= truth["rejected_solutions"] > 0
+        solutions = truth["rejected_solutions"]
+        rejected += int((solutions > before).sum())
         errors += int((truth["outcome"] == "error").sum())
+        touching += int((truth["force_normal_true_N"] > TOUCHING).any(axis=1).sum())
+        before = solutions
     many.close()
     return {
         "control_steps": rounds * worlds,
         "worlds": worlds,
-        "with_rejected_solutions": int(rejected.sum()),
+        "touching": touching,
+        "rejected": rejected,
         "failed": errors,
-        "failed_fraction": errors / (rounds * worlds),
+        "failed_fraction": (rejected + errors) / (rounds * worlds),
     }
 
 
@@ -219,6 +238,13 @@ def table(result: Mapping[str, Any]) -> str:
     if result.get("presses"):
         lines += ["", "Random presses of 0.3 to 2.5 mm, 6 mm from the frame:", ""]
         lines += press_table(result["presses"])
+    for row in result.get("failures", []):
+        lines += [
+            "",
+            f"Random actions in {row['worlds']} worlds, random objects: {row['control_steps']:,} "
+            f"control steps, {row['touching']:,} of them with contact; {row['rejected']} with a "
+            f"rejected solution, {row['failed']} with an invalid state.",
+        ]
     if not result["is_gpu"]:
         return "\n".join([*lines, "", "No GPU was at hand: speed was not measured."]) + "\n"
     lines += ["", "| worlds | control steps/s | memory, GB | held force, N |", "|---|---|---|---|"]
@@ -240,13 +266,6 @@ def table(result: Mapping[str, Any]) -> str:
         f"{row['solutions_per_s']:,.0f} |"
         for row in result.get("solutions", [])
     ]
-    for row in result.get("failures", []):
-        steps = f"{row['control_steps']:,} control steps of random actions"
-        lines += [
-            f"| invalid states in {steps} | {row['worlds']} | {row['failed']} |",
-            f"| worlds with rejected solutions | {row['worlds']} | "
-            f"{row['with_rejected_solutions']} |",
-        ]
     if result["skipped"]:
         lines += ["", f"Not measured, no time left: {', '.join(result['skipped'])}."]
     return "\n".join(lines) + "\n"

@@ -115,6 +115,7 @@ class Membranes:
         self.fields.volume.fill_(float(rest.volume))
         self.fields.status.zero_()
         self.fields.lost.zero_()
+        self.fields.gain.fill_(1.0)
 
     def solve(self) -> None:
         """Solve for the equilibrium of all membranes on their geoms, from their present states."""
@@ -184,6 +185,7 @@ def new_fields(count: int, grid: tuple[int, int]) -> Any:
             "slope_y",
             "gap",
             "change",
+            "step_before",
             "link_x",
             "link_y",
         ),
@@ -193,7 +195,7 @@ def new_fields(count: int, grid: tuple[int, int]) -> Any:
     fields.owner = wp.zeros((count, nodes), dtype=int)
     fields.spring = wp.zeros((count, 4, nodes), dtype=float)
     fields.away = wp.zeros((count, 2, nodes), dtype=float)
-    for name in ("pressure", "volume"):
+    for name in ("pressure", "volume", "gain"):
         setattr(fields, name, wp.zeros(count, dtype=float))
     for name in ("status", "iterations", "lost"):
         setattr(fields, name, wp.zeros(count, dtype=int))

@@ -10,7 +10,7 @@ pytest.importorskip("mujoco_warp")
 
 from benchmarks.gpu.pairs import SEED, Grasp, Pair, PairedGrasps, _next_actions
 from benchmarks.gpu.presses import press_objects
-from benchmarks.gpu.run import table
+from benchmarks.gpu.run import _failures, table
 from benchmarks.gpu.tactile_sensor import speeds
 
 PAIR = {
@@ -29,6 +29,26 @@ def test_without_a_gpu_the_table_states_that_speed_was_not_measured():
     text = table({"device": "CPU", "is_gpu": False, "pairs": [row], "skipped": []})
     assert "| random | 50 | 48 / 49 | 98 | 4.0 / 50.0 |" in text
     assert text.endswith("speed was not measured.\n")
+
+
+def test_rejected_solutions_of_random_actions_are_in_the_table():
+    row = {"worlds": 32, "control_steps": 9984, "touching": 800, "rejected": 3, "failed": 1}
+    text = table(
+        {
+            "device": "CPU",
+            "is_gpu": False,
+            "pairs": [PAIR | {"force_difference_p95_N": 0.05}],
+            "failures": [row],
+            "skipped": [],
+        }
+    )
+    assert "9,984 control steps, 800 of them with contact; 3 with a rejected solution, 1 w" in text
+
+
+@pytest.mark.slow(20)
+def test_random_actions_are_counted():
+    found = _failures(4, 40, "cpu")
+    assert (found["control_steps"], found["failed_fraction"]) == (40, 0.0)
 
 
 def test_parts_without_time_are_named():

@@ -23,12 +23,12 @@ CONVERGED, NOT_CONVERGED, RIM_CONTACT, GLASS_CONTACT, INVERTED, NUMERICAL_FAILUR
 """Status of a solution: the first values of `mjtactile.quasistatic.MembraneStatus`."""
 
 _NOT_CONVERGED = wp.constant(NOT_CONVERGED)
-_RIM = wp.constant(RIM_CONTACT)
 _GLASS = wp.constant(GLASS_CONTACT)
 _INVERTED = wp.constant(INVERTED)
 _NUMERICAL = wp.constant(NUMERICAL_FAILURE)
 _MIN_TURN = wp.constant(0.05)  # minimum ratio of a cell's projected area
 _MAX_SHIFT = wp.constant(5.0e-4)  # maximum in-plane step, m
+_MIN_GAIN = wp.constant(0.2)  # minimum share of a step of the heights
 _MAX_LAST = wp.constant(1.0e-3)  # step at the end of a solution above which it diverges, m
 
 
@@ -48,12 +48,36 @@ def move_plane(membrane: MembraneGrid, fields: Fields, f: int, lane: int, thread
 
 
 @wp.func
-def move_heights(membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int) -> float:
-    """Add the step of the heights; return its maximum, m."""
+def gain_of_step(
+    membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int, gain: float
+) -> float:
+    """Return the share of the present step of the heights to take.
+
+    Aitken's relaxation (Irons and Tuck 1969) compares it with the step before, of which the share
+    `gain` was taken. Where the membrane is steep, its links are too soft: full steps would
+    alternate and never end.
+    """
+    along = float(0.0)
+    square = float(0.0)
+    for k in range(lane, membrane.nx * membrane.ny, threads):
+        difference = fields.change[f, k] - fields.step_before[f, k]
+        along += fields.step_before[f, k] * difference
+        square += difference * difference
+    along = wp.tile_extract(wp.tile_sum(wp.tile(along)), 0)
+    square = wp.tile_extract(wp.tile_sum(wp.tile(square)), 0)
+    return wp.clamp(-gain * along / wp.max(square, 1.0e-20), _MIN_GAIN, 1.0)
+
+
+@wp.func
+def move_heights(
+    membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int, gain: float
+) -> float:
+    """Add the share `gain` of the step of the heights; return the step's maximum, m."""
     longest = float(0.0)
     for k in range(lane, membrane.nx * membrane.ny, threads):
         step = fields.change[f, k]
-        fields.u[f, 2, k] += step
+        fields.u[f, 2, k] += gain * step
+        fields.step_before[f, k] = step
         longest = wp.max(longest, wp.abs(step))
     longest = wp.tile_extract(wp.tile_max(wp.tile(longest)), 0)
     synchronize()
@@ -61,17 +85,14 @@ def move_heights(membrane: MembraneGrid, fields: Fields, f: int, lane: int, thre
 
 
 @wp.func
-def frame_status(membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int) -> int:
-    """Return RIM_CONTACT or GLASS_CONTACT for obstacles too low there, else 0."""
+def lies_on_glass(membrane: MembraneGrid, fields: Fields, f: int, lane: int, threads: int) -> bool:
+    """Return true for obstacles that reach the glass. Below its rim, the frame carries them."""
     found = float(0.0)
     for k in range(lane, membrane.nx * membrane.ny, threads):
         h = fields.height[f, k]
-        if is_on(h):
-            if membrane.free[k] == 0 and h < -2.0 * membrane.half_thickness:
-                found = wp.max(found, float(_RIM))
-            if h - membrane.half_thickness <= -membrane.depth:
-                found = wp.max(found, float(_GLASS))
-    return int(wp.tile_extract(wp.tile_max(wp.tile(found)), 0))
+        if is_on(h) and h - membrane.half_thickness <= -membrane.depth:
+            found = 1.0
+    return wp.tile_extract(wp.tile_max(wp.tile(found)), 0) > 0.0
 
 
 @wp.func
@@ -160,6 +181,7 @@ def solve(
         synchronize()
     status = int(_NOT_CONVERGED)
     used = int(0)
+    gain = fields.gain[f]
     volume = fields.volume[f]
     for step in range(scheme.outer):
         if status == _NOT_CONVERGED:
@@ -167,16 +189,18 @@ def solve(
             volume = sums[0]
             before = p
             if step == 0:
-                misplaced = frame_status(membrane, fields, f, lane, threads)
-                if misplaced > 0:
-                    status = misplaced
+                if lies_on_glass(membrane, fields, f, lane, threads):
+                    status = _GLASS
             if sums[1] < _MIN_TURN:
                 status = _INVERTED
             find_springs(membrane, geoms, pool, fields, f, lane, threads, has_thin)
             prepare_heights(membrane, fields, f, lane, threads, p)
             p = settle_heights(membrane, scheme, gas, fields, f, lane, threads, volume, p)
             moved_gas = wp.abs(p - before)
-            last = move_heights(membrane, fields, f, lane, threads)
+            if step > 0:
+                gain = gain_of_step(membrane, fields, f, lane, threads, gain)
+            p = before + gain * (p - before)
+            last = move_heights(membrane, fields, f, lane, threads, gain)
             if scheme.sweeps_xy > 0:
                 prepare_plane(membrane, fields, f, lane, threads, p, scale)
                 relax_plane(
@@ -217,6 +241,7 @@ def solve(
         fields.iterations[f] = used
         fields.status[f] = status
         fields.lost[f] = wp.where(good, 0, fields.lost[f] + 1)
+        fields.gain[f] = wp.where(good, gain, 1.0)
         if good:
             fields.pressure[f] = p
             fields.volume[f] = volume

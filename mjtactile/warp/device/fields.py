@@ -35,6 +35,7 @@ class Fields:
     owner: wp.array2d(dtype=int)
     gap: wp.array2d(dtype=float)
     change: wp.array2d(dtype=float)
+    step_before: wp.array2d(dtype=float)
     link_x: wp.array2d(dtype=float)
     link_y: wp.array2d(dtype=float)
     rx: wp.array2d(dtype=float)
@@ -49,6 +50,7 @@ class Fields:
     status: wp.array(dtype=int)
     iterations: wp.array(dtype=int)
     lost: wp.array(dtype=int)
+    gain: wp.array(dtype=float)
 
 
 @wp.struct

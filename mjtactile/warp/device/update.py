@@ -345,6 +345,7 @@ def reset_worlds(
             fields.volume[f] = rest_volume[f]
             fields.status[f] = 0
             fields.lost[f] = 0
+            fields.gain[f] = 1.0
             for c in range(6):
                 states.wrench[f, c] = 0.0
             states.area[f] = 0.0
