@@ -141,7 +141,7 @@ ARGUMENTS = (
     ),
     arg.option(
         "--level NAME",
-        "tasks: fidelity level mesh (default), film (--effects=-mesh,-images) or drawn "
+        "tasks: fidelity level mesh (default), quasistatic (--effects=-mesh,-images) or synthetic "
         "(-mesh,-pipeline); the last two also report agreement with mesh results in --out",
     ),
     arg.option(

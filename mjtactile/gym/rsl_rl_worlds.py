@@ -5,6 +5,7 @@ It needs the extras `learn` and `warp`; no other module imports it.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -12,7 +13,7 @@ import torch  # pyright: ignore[reportMissingImports]
 from rsl_rl.env import VecEnv  # pyright: ignore[reportMissingImports]
 from tensordict import TensorDict  # pyright: ignore[reportMissingImports]
 
-from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN
+from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, policy_layers, save_policy
 
 STEPS = 8  # control steps for each decision: 0.27 s
 MAX_PENALTY = 0.3  # of a failure; at 1, some learners stop lifting
@@ -91,3 +92,25 @@ class RslRlWorlds(VecEnv):
         text = f"{self.ended} grasps, {self.held} held, return {mean:.2f}"
         self.ended, self.held, self.returns = 0, 0, []
         return text
+
+
+def save_actor(actor: Any, path: str | Path) -> None:
+    """Write a learned actor of rsl-rl with tanh between its layers for `controllers/policy.py`."""
+    layers = [
+        (layer.weight.detach().cpu().numpy(), layer.bias.detach().cpu().numpy())
+        for layer in linear_layers(actor)
+    ]
+    save_policy(path, layers, activation="tanh")
+
+
+def load_actor(actor: Any, path: str | Path) -> None:
+    """Read the layers of a file of `save_actor` into an actor with as many, to learn further."""
+    with torch.no_grad():
+        for layer, (weights, biases) in zip(linear_layers(actor), policy_layers(path), strict=True):
+            layer.weight.copy_(torch.as_tensor(weights))
+            layer.bias.copy_(torch.as_tensor(biases))
+
+
+def linear_layers(actor: Any) -> list[Any]:
+    """Return the linear layers of an actor of rsl-rl, first to last."""
+    return [layer for layer in actor.mlp if isinstance(layer, torch.nn.Linear)]

@@ -33,7 +33,7 @@ _COLUMNS = 30
 # indices in the kernel's settings
 _GRASP = 1
 _ELAPSED = 3
-METHOD = "drawn"
+METHOD = "sampled"
 """Value of `Traction.method` for a touch without a sensing pipeline."""
 
 

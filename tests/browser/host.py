@@ -25,7 +25,7 @@ frame = {
     "places": {},
     "values": {},
     "reported": [],
-    "felt": [],
+    "estimates": [],
     "number": -1,
     "hovered": "",
     "active": "",
@@ -104,7 +104,7 @@ class Clerk(plugin.ViewerPlugin):
         found = {
             "number": -1 if snapshot is None else snapshot.number,
             "phase": "" if snapshot is None else snapshot.session.phase,
-            "felt": []
+            "estimates": []
             if snapshot is None
             else [describe(estimated) for estimated in snapshot.fingers],
             "paused": now.paused,

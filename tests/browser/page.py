@@ -71,7 +71,7 @@ class Page:
             time.sleep(0.1)
 
     def image(self):
-        """Blue, green, red (h, w, 3), as many px as the page thinks that it has."""
+        """Blue, green, red (h, w, 3), of the page's size in px."""
         if self._sparing:
             self.run("window.toDraw = 1")
             self.wait_for("window.toDraw === 0")
@@ -99,8 +99,7 @@ class Page:
 @contextlib.contextmanager
 def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
     """A `Page` with `url`, in a browser of its own, once the server has written that it is there
-    into the file `until`. `scale` px are drawn, along each side, for each that the page thinks that
-    it has."""
+    into the file `until`. `scale` px are drawn, along each side, for each px of the page's size."""
     command = [
         CHROMIUM,
         *FLAGS,

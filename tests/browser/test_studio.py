@@ -207,7 +207,7 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
     now = studio.ask()
     held = studio.until(lambda f: f["frames"] > now["frames"] + 3, "some frames go by")
     assert held["number"] == now["number"]  # a pause is one
-    for estimated in held["felt"]:
+    for estimated in held["estimates"]:
         for text in (
             f"normal {estimated['force']:+.3f} N, 2 sd {2 * estimated['sd']:.3f}",
             f"ground truth {estimated['true']:+.3f} N",
@@ -226,7 +226,7 @@ def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_session
     # green: the deepest
     x, y = (np.mean(where) for where in np.nonzero(membrane[:, :, 1] > 180)[::-1])
     # shares of the frame's opening
-    centroid = np.array(held["felt"][0]["centroid"]) / [0.040, 0.030]
+    centroid = np.array(held["estimates"][0]["centroid"]) / [0.040, 0.030]
     np.testing.assert_allclose([x / width - 0.5, y / height - 0.5], centroid, atol=0.06)
 
 
@@ -240,7 +240,7 @@ def test_the_supply_slider_changes_the_pressure(studio):
     studio.until(lambda f: f["number"] == number + 1, "one cycle goes by")
     studio.press("one cycle")
     studio.until(
-        lambda f: f["felt"][0]["pressure"] == pytest.approx(1e3 * supply, abs=1),
+        lambda f: f["estimates"][0]["pressure"] == pytest.approx(1e3 * supply, abs=1),
         "the pressure is the supply's",
     )
 

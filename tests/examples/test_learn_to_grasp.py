@@ -50,11 +50,13 @@ def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
     pytest.importorskip("rsl_rl")
     import torch  # pyright: ignore[reportMissingImports]
 
+    from mjtactile.gym.rsl_rl_worlds import linear_layers, save_actor
+
     example = runpy.run_path(str(CHECKOUT / "examples/learn_on_a_gpu.py"))
     example["LEARNER"]["num_steps_per_env"] = 2
     actor, decisions = example["learn"](1e-3, 2, "cpu", ["lift", "shake"], object="egg")
     assert decisions == 8
-    example["save"](actor, tmp_path / "policy.npz")
+    save_actor(actor, tmp_path / "policy.npz")
     policy = load_policy(tmp_path / "policy.npz")
     rng = np.random.default_rng(0)
     for shown in rng.uniform(-1, 1, (5, len(SCALE))) * SCALE:
@@ -64,5 +66,5 @@ def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
     # learned further: the critic learns first, so that the first round changes no weight
     path = tmp_path / "policy.npz"
     further, _ = example["learn"](1e-3, 2, "cpu", ["lift"], object="egg", path=path)
-    for layer, saved in zip(*map(example["linear_layers"], (further, actor)), strict=True):
+    for layer, saved in zip(*map(linear_layers, (further, actor)), strict=True):
         np.testing.assert_allclose(layer.weight.detach(), saved.weight.detach(), atol=1e-6)

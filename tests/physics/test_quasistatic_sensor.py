@@ -29,7 +29,7 @@ def pressed(effects, depth, shear=0.0, at=(0.0, 0.0)):
 @pytest.mark.parametrize("at", [(0.0, 0.0), (0.007, -0.004)])
 def test_force_and_pressure_are_those_of_the_mesh(at):
     mesh, quasistatic = (pressed(effects, 2e-3, at=at) for effects in (PHYSICS, QUASISTATIC))
-    # the mesh is itself 1 to 3 % off at 13 x 11 vertices, the film at 21 x 16 (docs/validation/accuracy.md)
+    # error of the mesh with 13 x 11 vertices, and of 21 x 16 nodes: 1 to 3 % (docs/validation/accuracy.md)
     force = [-ground_truth.contact_force(world, 0)[2] for world in (mesh, quasistatic)]
     assert force[1] == pytest.approx(force[0], rel=0.035)
     gauge = [world.sensors[0].gauge_pressure for world in (mesh, quasistatic)]

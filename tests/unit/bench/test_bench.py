@@ -6,7 +6,8 @@ import math
 import pytest
 
 from benchmarks import grasp
-from mjtactile.commands.bench import BENCHMARKS
+from benchmarks.tasks.simulation_levels import LEVELS
+from mjtactile.commands.bench import ARGUMENTS, BENCHMARKS
 from mjtactile.commands.output import insert_table, page_of_table
 from mjtactile.core.errors import InputError, SimulationError
 
@@ -122,3 +123,8 @@ def test_the_rigs_table_counts_late_and_unsafe_runs():
 def test_every_benchmark_has_its_module(name):
     module = importlib.util.find_spec(f"benchmarks.{BENCHMARKS[name][0]}")
     assert module is not None, f"bench {name}: benchmarks.{BENCHMARKS[name][0]} does not exist"
+
+
+def test_the_help_names_the_levels_of_the_tasks():
+    (level,) = [argument for argument in ARGUMENTS if "--level" in argument.names]
+    assert all(name in level.settings["help"] for name in LEVELS)

@@ -34,8 +34,8 @@ NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one `dense` image, 
 
 @pytest.fixture(scope="module")
 def sensor():
-    """The chain of `dense` with the rest of the film, which the independent sheet shares to 2 um,
-    and the finder of shapes."""
+    """Pipeline of `dense` with the rest shape of the quasi-static membrane (2 um from that of the
+    independent sheet), and the shape estimator."""
     design = load_sensor("dense")
     pipeline = SensingPipeline(design)
     solver = QuasistaticMembrane(design, (41, 31))
@@ -108,8 +108,8 @@ def test_a_ball_is_a_ball_of_its_radius(sensor, cases, radius_mm, at_mm):
     ("radius_mm", "depth_mm"), [(3.2, 2.4), (4.5, 1.8), (6.8, 1.2), (6.8, 2.4)]
 )
 def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
-    """Markers of a film of 0.5 mm between nodes, on a sharp rim: small and large, lightly and firmly
-    pressed, as large as it is."""
+    """A sharp rim, small and large, pressed lightly and firmly, on a membrane with 0.5 mm between
+    nodes."""
     solver = QuasistaticMembrane(load_sensor("dense"), (81, 61))
     radius = 1e-3 * radius_mm
     height = solver.rest.heights.max() - 1e-3 * depth_mm

@@ -14,7 +14,7 @@ NOISE = np.array([3.4e-6, 3.4e-6, 19e-6])  # marker noise of one `dense` image, 
 
 
 class Round:
-    """The chain of a sensor, its finder, and a film of half a millimetre that is pressed."""
+    """Pipeline and shape estimator of a sensor, and a quasi-static membrane to press, 0.5 mm nodes."""
 
     def __init__(self, name):
         design = load_sensor(name)

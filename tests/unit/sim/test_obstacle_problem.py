@@ -1,4 +1,4 @@
-"""The film on an obstacle against equilibrium, and the contact area that truth takes from it."""
+"""Heights of a membrane on an obstacle against equilibrium, and the true contact area from them."""
 
 import numpy as np
 import pytest
