@@ -61,15 +61,22 @@ def test_the_smallest_and_the_largest_action_are_the_environments_own():
         assert env.unwrapped.actions[-1] == pytest.approx(own)
 
 
-@pytest.mark.parametrize("widths", [(len(SCALE), 3), (len(SCALE), 8, 5, 3)])
-def test_a_file_acts_as_the_network_behind_the_scales(tmp_path, monkeypatch, widths):
+@pytest.fixture(params=[(len(SCALE), 3), (len(SCALE), 8, 5, 3)], ids=["one layer", "three layers"])
+def saved(request, tmp_path):
+    """Random layers of a network, and the file to which they were saved."""
     rng = np.random.default_rng(0)
     layers = [
         (rng.normal(size=(b, a)), rng.normal(size=b))
-        for a, b in zip(widths[:-1], widths[1:], strict=True)
+        for a, b in zip(request.param[:-1], request.param[1:], strict=True)
     ]
     path = tmp_path / "policy.npz"
     save_policy(path, layers, activation="tanh")
+    return layers, path
+
+
+def test_a_file_acts_as_the_network_behind_the_scales(saved, monkeypatch):
+    layers, path = saved
+    rng = np.random.default_rng(1)
     monkeypatch.setenv("MJTACTILE_POLICY", str(path))
     controller = runpy.run_path(str(CHECKOUT / "controllers/policy.py"))
     for shown in rng.normal(size=(5, len(SCALE))) * SCALE:
@@ -80,17 +87,10 @@ def test_a_file_acts_as_the_network_behind_the_scales(tmp_path, monkeypatch, wid
         np.testing.assert_allclose(controller["load"](path)(shown), MIDDLE + SPAN * x, rtol=1e-9)
 
 
-@pytest.mark.parametrize("widths", [(len(SCALE), 3), (len(SCALE), 8, 5, 3)])
-def test_layers_of_a_file_are_the_saved_layers(tmp_path, widths):
-    rng = np.random.default_rng(0)
-    layers = [
-        (rng.normal(size=(b, a)), rng.normal(size=b))
-        for a, b in zip(widths[:-1], widths[1:], strict=True)
-    ]
-    path = tmp_path / "policy.npz"
-    save_policy(path, layers, activation="tanh")
-    for found, saved in zip(policy_layers(path), layers, strict=True):
-        for one, other in zip(found, saved, strict=True):
+def test_layers_of_a_file_are_the_saved_layers(saved):
+    layers, path = saved
+    for found, own in zip(policy_layers(path), layers, strict=True):
+        for one, other in zip(found, own, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12)  # rounding of the scales
     with pytest.raises(InputError, match="no such file"):
-        policy_layers(tmp_path / "other.npz")
+        policy_layers(path.with_name("other.npz"))
