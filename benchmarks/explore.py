@@ -8,8 +8,9 @@ random object.
 from __future__ import annotations
 
 import json
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,13 @@ import numpy as np
 
 from mjtactile.core.errors import MjtactileError
 from mjtactile.core.scenario import Scenario
-from mjtactile.explore.exploration import ExplorationGoal
-from mjtactile.explore.simulated import explore_on_stage
+from mjtactile.explore.exploration import ExplorationGoal, explored
+from mjtactile.explore.simulated import explore_on_stage, object_pose, score
+from mjtactile.explore.surface_patch import Patch
 from mjtactile.recording.files import to_json
 from mjtactile.runtime.progress import Progress
+from mjtactile.sim.scenes.objects import load_object
+from mjtactile.sim.true_surface import TrueSurface
 
 FIRST_SEED = 500
 SHIPPED = ("egg", "vial", "block", "strawberry")
@@ -82,9 +86,14 @@ def _cases(quick: bool) -> list[Case]:
 def _explored(case: Case, touches: int) -> dict[str, Any]:
     start = time.process_time()
     names = {"object": case.name, "seed": case.seed}
+    patches: list[Patch] = []
+    counts: list[int] = []
     try:
         found, true = explore_on_stage(
-            Scenario(object=case.name, seed=case.seed), ExplorationGoal(touches, force=FORCE)
+            Scenario(object=case.name, seed=case.seed),
+            ExplorationGoal(touches, force=FORCE),
+            keep=patches.append,
+            notify=lambda _: counts.append(len(patches)),
         )
     except MjtactileError as error:
         return names | {"failed": " ".join(str(error).split())}
@@ -103,13 +112,30 @@ def _explored(case: Case, touches: int) -> dict[str, Any]:
         )
     }
     forces = [patch.force for patch in found.patches]
+    seconds = time.process_time() - start
     return {
         **names,
         **kept,
         **true,
         "force_max_N": max(forces, default=float("nan")),
-        "seconds": time.process_time() - start,
+        "seconds": seconds,
+        "errors_by_touch_mm": [_error_of(case, patches[:count]) for count in counts],
     }
+
+
+def _error_of(case: Case, patches: list[Patch]) -> float:
+    """Return the surface error of these patches, mm; infinite without any."""
+    if not patches:
+        return math.inf
+    found = explored(patches, "touches", len(patches), {})
+    true = TrueSurface.of(load_object(case.name))
+    return score(found, true, *object_pose(case.seed))["surface_error_mm_true"]
+
+
+def touches_to(errors: Sequence[float], limit: float) -> int:
+    """Return the number of touches after which no error exceeds `limit`; one more than all if the
+    last one does."""
+    return max((index + 1 for index, error in enumerate(errors) if error > limit), default=0) + 1
 
 
 def _words(row: Mapping[str, Any]) -> str:
