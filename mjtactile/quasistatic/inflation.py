@@ -58,6 +58,15 @@ def inflate(membrane: QuasistaticMembrane) -> MembraneSolution:
     )
 
 
+def inflated_further(membrane: QuasistaticMembrane, pressure: float) -> MembraneSolution:
+    """Find the equilibrium without contact at a gauge `pressure`, Pa, close to that at rest."""
+    x, force, trend = membrane.rest.x.copy(), np.zeros(membrane.grid), np.zeros((4, *membrane.grid))
+    found = np.empty(FOUND)
+    settings = np.array([pressure, 0.0, _INFLATED, _MAX_STEPS, 1.0, 0.0, *FRICTIONLESS])
+    membrane._run(settings, np.zeros((0, NUMBERS)), None, (x, force, trend, found))
+    return MembraneSolution(x, force, found)
+
+
 def _ways(stretch: float) -> Iterator[tuple[float, float]]:
     """Yield the fraction of the pressure and the stretch of each inflation step."""
     more = max(_TAUT - stretch, 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution, QuasistaticMembrane
+from mjtactile.quasistatic.inflation import inflated_further
 from mjtactile.quasistatic.interpolation import interpolation_matrix
 from mjtactile.quasistatic.sensitivities import approximate_sensitivities, sensitivities_of
 from mjtactile.quasistatic.solution import AREA, PRESSURE, STATUS
@@ -69,15 +70,13 @@ class ForwardModel:
         membrane = self.membrane
         if not membrane.sealed:
             return np.zeros(len(self.rest_heights))
-        more = QuasistaticMembrane(
-            membrane.design, membrane.grid, (1 + _MORE) * membrane.gauge_pressure
-        )
+        more = inflated_further(membrane, (1 + _MORE) * membrane.gauge_pressure)
         rise = _MORE * membrane.gauge_pressure
         chamber = membrane.design.chamber
         absolute = membrane.gauge_pressure + chamber.ambient
         volume = membrane.design.chamber_volume_flat + membrane.rest.volume
-        yields = absolute / volume * (more.rest.volume - membrane.rest.volume) / rise
-        higher = self.heights(more.rest.x[None])[0] - self.rest_heights
+        yields = absolute / volume * (more.volume - membrane.rest.volume) / rise
+        higher = self.heights(more.x[None])[0] - self.rest_heights
         return higher / rise * absolute / (1 + yields)
 
     def heights(self, x: Array) -> Array:
