@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.core.types import Array, Contact, ContactShape, Touch
+from mjtactile.core.types import Array, Contact, ContactShape, Slip, Touch
 from mjtactile.sensing.contact_shape.estimator import Found
 from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, with_load
 from mjtactile.sensing.contact_shape.relative_motion import MembraneMotion, rubber_step
@@ -36,31 +36,37 @@ def attach_shape(
     shape: ContactShape,
     load: ContactLoad | None = None,
     sharpness: Array | None = None,
+    slip: Slip | None = None,
 ) -> Touch:
     """Return the touch with its contact shape. If the shape is known, area and outline come from
     the shape model, `contact.area_source` names it, and the wrench is fused with `load` (None: the
-    force of the nodal estimate is kept). For `sharpness` (6,) see `with_load`; None: zero."""
+    force of the nodal estimate is kept). For `sharpness` (6,) see `with_load`; None: zero. `slip`
+    replaces that of the touch; None: it is kept."""
     contact = touch.contact
+    slip = touch.slip if slip is None else slip
     if contact is None or shape.kind == "unknown":
-        return replace(touch, shape=shape)
+        return replace(touch, shape=shape, slip=slip)
     sharp = np.zeros(6) if sharpness is None else sharpness
-    estimated = touch if load is None else with_load(touch, load, sharp)
+    estimated = {} if load is None else with_load(touch, load, sharp)
     by_body = _with_area(contact, shape)
     patches = (by_body,) if len(touch.patches) == 1 else _patches_of(touch.patches, shape.parts)
-    return replace(estimated, shape=shape, contact=by_body, patches=patches)
+    return replace(touch, shape=shape, contact=by_body, patches=patches, slip=slip, **estimated)
 
 
 def apply_shape_and_motion(
-    touch: Touch, found: Found, after: PipelineState, sharpness: Array, settings: SlipSettings
+    touch: Touch,
+    found: Found,
+    after: PipelineState,
+    sharpness: Array | None,
+    settings: SlipSettings,
 ) -> tuple[Touch, PipelineState]:
     """Return the touch with the shape `found`, its slip updated by the shape's motion, and the
     state with the history of the contact episode. For `sharpness` (6,) see `with_load`."""
-    estimated = attach_shape(touch, found.shape, found.load, sharpness)
-    after = replace(after, press=found.press)
-    if estimated.slip is None:
-        return estimated, after
-    slip_state, history = with_motion(estimated.slip, after.slip, found.shape.motion, settings)
-    return replace(estimated, slip=slip_state), replace(after, slip=history)
+    slip, history = touch.slip, after.slip
+    if slip is not None:
+        slip, history = with_motion(slip, history, found.shape.motion, settings)
+    estimated = attach_shape(touch, found.shape, found.load, sharpness, slip)
+    return estimated, replace(after, press=found.press, slip=history)
 
 
 def membrane_displacement(before: PipelineState, after: PipelineState) -> MembraneMotion | None:

@@ -59,6 +59,8 @@ REQUIRED_FORCE = 0.1
 """Force, N, that a sensor should detect; a warning names a sensor that does not."""
 _logger = logging.getLogger(__name__)
 
+_EXPLAINED = 1e-3  # fraction of the variance of sharp features below which it is not computed
+
 
 @validated()
 class SensingPipeline:
@@ -331,8 +333,9 @@ class SensingPipeline:
         """
         rubber = membrane_displacement(before, after)
         found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
-        sharpness = np.zeros(6)
-        if after.shape is not None and touch.traction is not None:
+        sharpness = None
+        explains = found.load is not None and found.load.explained > _EXPLAINED
+        if explains and after.shape is not None:
             sharpness = self.inverse.sharpness(after.shape)
         return apply_shape_and_motion(touch, found, after, sharpness, self.settings.slip)
 

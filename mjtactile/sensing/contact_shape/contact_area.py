@@ -49,6 +49,10 @@ def areas(forward: ForwardModel, found: Fit, s: ContactShapeSettings) -> list[fl
 
 def shares(forward: ForwardModel, found: Fit) -> list[float]:
     """Return the fraction of the force on each part of a shape."""
+    return found.once("shares", lambda: _shares(forward, found))
+
+
+def _shares(forward: ForwardModel, found: Fit) -> list[float]:
     force = found.state.contact_forces
     nearest = nearest_part(forward, found)
     total = max(float(force.sum()), 1e-9)
@@ -58,6 +62,10 @@ def shares(forward: ForwardModel, found: Fit) -> list[float]:
 
 def nearest_part(forward: ForwardModel, found: Fit) -> Array:
     """Return the index of the nearest part for each node (nx, ny)."""
+    return found.once("nearest", lambda: _nearest_part(forward, found))
+
+
+def _nearest_part(forward: ForwardModel, found: Fit) -> Array:
     x, y = _positions(forward, found)
     middles = [
         hint.position + 1e-3 * theta[:2]

@@ -15,7 +15,7 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
+from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, RelativeMotion, Touch
 from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart, Proposal
 from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval, rim_areas
 from mjtactile.sensing.contact_shape.fit_state import Data
@@ -115,16 +115,13 @@ class ContactShapeEstimator:
             press = replace(press, other=deviation(self.forward, press.now, data, scale))
         track = tracked(track, press.now, touch.time, rubber, scale, s)
         assert touch.contact is not None
-        position = np.array(touch.contact.centroid)
-        press = replace(
-            press, track=track, reported=self._kind(press, before, data.force, position)
-        )
-        shape = self._result(press, scale, slips(touch))
-        if shape.kind == "unknown" or touch.traction is None:
-            return Found(shape, None, press)
-        return Found(
-            shape, contact_load(self.forward, press, touch.traction.wrench, scale, s), press
-        )
+        reported = self._kind(press, before, data.force, np.array(touch.contact.centroid))
+        relative = motion(track, press.now, slips=slips(touch))
+        shape = self._result(press, reported.kind, scale, relative)
+        load = None
+        if shape.kind != "unknown" and touch.traction is not None:
+            load = contact_load(self.forward, press, touch.traction.wrench, scale, s)
+        return Found(shape, load, replace(press, track=track, reported=reported))
 
     def _suggest(self, data: Data) -> Suggestions:
         """Return the starts of the shape models for an image. They are estimated for a membrane
@@ -165,12 +162,12 @@ class ContactShapeEstimator:
         unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
         return ReportedKind("unknown" if unexplained else kind, force, position)
 
-    def _result(self, press: PressHistory, scale: float, sliding: bool) -> ContactShape:
+    def _result(
+        self, press: PressHistory, kind: str, scale: float, relative: RelativeMotion | None
+    ) -> ContactShape:
         s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
-        assert press.reported is not None
-        kind = press.reported.kind
         if kind == "unknown":
             text = (
                 f"no shape model explains the markers of this load: misfit {misfit:.1f}, maximum "
@@ -179,7 +176,7 @@ class ContactShapeEstimator:
             return _unknown(Status(StatusCode.FIT_FAILED, text), probabilities, misfit)
         weighed = []
         own = max(1.0, misfit)  # without the model error, which `area_sd` adds
-        for probability, found in press.bodies():
+        for probability, found in press.bodies:
             total = sum(areas(self.forward, found, s))
             weighed.append((probability, total, area_sd(found, total, own, s)))
         spread = scale * press.candidates[0].common.variance_factor
@@ -189,12 +186,13 @@ class ContactShapeEstimator:
         growth = press.candidates[0].common.growth
         weighed[:1] = rim_areas(press.now, growth, *weighed[0])
         sizes = (weighed[0][1], interval(weighed))
-        shape = build_shape(self.forward, press.now, kind, probabilities, spread, sizes, s, other)
+        shape = build_shape(
+            self.forward, press.now, kind, probabilities, spread, sizes, s, other, relative
+        )
         sharp = probabilities["edge"] + probabilities["point"]
-        shape = with_curvature_spread(shape, press.bodies(), sharp)
-        shape = with_position_spread(shape, press.bodies()[1:])
-        shape = with_tip(shape, tip_probability(press.now, spread, s))
-        return replace(shape, motion=motion(press.track, press.now, slips=sliding))
+        shape = with_curvature_spread(shape, press.bodies, sharp)
+        shape = with_position_spread(shape, press.bodies[1:])
+        return with_tip(shape, tip_probability(press.now, spread, s))
 
     def _hint(self, touch: Touch) -> InitialGuess:
         assert touch.contact is not None

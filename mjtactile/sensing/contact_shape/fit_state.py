@@ -44,7 +44,8 @@ class Data:
         markers = touch.markers
         assert markers is not None
         sd = np.sqrt(markers.cov_p[:, 2, 2] + s.membrane_sd**2)
-        common = np.column_stack([drift[0] * by_gas[markers.ids], np.full(len(sd), drift[1])])
+        common = np.empty((len(sd), 2))
+        common[:, 0], common[:, 1] = drift[0] * by_gas[markers.ids], drift[1]
         heights = markers.p_SM[:, 2] - raised[markers.ids]
         shear = None if touch.traction is None else touch.traction.wrench[:2]
         return cls(markers.ids, heights, _whitening(sd, common), touch.force_normal, shear)
@@ -57,10 +58,12 @@ class Data:
 def _whitening(sd: Array, common: Array) -> Array:
     """Return a square root (n, n) of the inverse of a covariance. It is diag(`sd`^2) + C C'. C is
     `common` (n, m)."""
-    values, directions = np.linalg.eigh(common.T @ (common / sd[:, None] ** 2))
-    unit = common / sd[:, None] @ directions
+    scaled = common / sd[:, None]
+    values, directions = np.linalg.eigh(scaled.T @ scaled)
     less = (1 / np.sqrt(1 + values) - 1) / np.maximum(values, 1e-12)
-    return (np.eye(len(sd)) + unit * less @ unit.T) / sd
+    root = (scaled @ (directions * less @ directions.T)) @ (scaled.T / sd)
+    root.flat[:: len(sd) + 1] += 1 / sd
+    return root
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -44,8 +45,7 @@ def contact_load(
     state = found.state
     kinds = press.kinds(SHAPES)
     blunt = kinds["smooth"] + kinds["flat"]
-    forces = state.contact_forces
-    height = float((forces * state.heights).sum() / max(float(forces.sum()), 1e-9))
+    height, below = found.once("heights", lambda: _load_heights(forward, state))
     above = s.shear_above[1] + blunt * (s.shear_above[0] - s.shear_above[1])
     rows = np.zeros((3, 6))
     rows[0, 2] = rows[1, 3] = rows[2, 4] = 1.0
@@ -56,9 +56,7 @@ def contact_load(
     pointed = tip_probability(found, noise, s)
     uncertain = max(blunt, pointed)
     position_sd = s.position_sd_sharp + uncertain * (s.position_sd - s.position_sd_sharp)
-    model = _model(
-        load, max(found.misfit, 1.0), pointed, position_sd, below_frame(forward, state), s
-    )
+    model = _model(load, max(found.misfit, 1.0), pointed, position_sd, below, s)
     shear = wrench[:2] - s.friction * state.wrench[:2]
     model[[1, 2], [1, 2]] += (s.shear_above_fraction * above * shear[::-1]) ** 2
     by_numbers = s.friction**2 * rows @ found.sums_cov_with(noise)[:6, :6] @ rows.T
@@ -70,6 +68,13 @@ def contact_load(
     # features. If the markers show some, the contact may be a misclassified point.
     explains = kinds["edge"] + kinds["multiple"]
     return ContactLoad(load, cov, rows, max(1 - left, 0.0) * explains)
+
+
+def _load_heights(forward: ForwardModel, state: MembraneSolution) -> tuple[float, float]:
+    """Return the mean height of the contact force, m, and the force `below_frame`, N."""
+    forces = state.contact_forces
+    height = float((forces * state.heights).sum() / max(float(forces.sum()), 1e-9))
+    return height, below_frame(forward, state)
 
 
 def tip_probability(found: Fit, noise: float, s: ContactShapeSettings) -> float:
@@ -124,13 +129,13 @@ def _model(
     return cov
 
 
-def with_load(touch: Touch, known: ContactLoad, sharpness: Array) -> Touch:
-    """Return the touch with its wrench fused with the load on the shape. `sharpness` is the part of
-    the wrench variance (6,) due to sharp features that the nodal estimate cannot follow. The
-    fraction explained by the shape is removed."""
+def with_load(touch: Touch, known: ContactLoad, sharpness: Array) -> dict[str, Any]:
+    """Return the fields of the touch that change if its wrench is fused with the load on the shape.
+    `sharpness` is the part of the wrench variance (6,) due to sharp features that the nodal
+    estimate cannot follow. The fraction explained by the shape is removed."""
     traction = touch.traction
     if traction is None:
-        return touch
+        return {}
     P = traction.wrench_cov - known.explained * np.diag(sharpness)
     H = known.rows
     gain = np.linalg.solve(H @ P @ H.T + known.cov, H @ P).T
@@ -138,9 +143,8 @@ def with_load(touch: Touch, known: ContactLoad, sharpness: Array) -> Touch:
     left = np.eye(6) - gain @ H
     cov = left @ P @ left.T + gain @ known.cov @ gain.T
     shift = wrench[_NORMAL] - traction.wrench[_NORMAL]
-    return replace(
-        touch,
-        traction=replace(traction, wrench=wrench, wrench_cov=cov),
-        force_normal=touch.force_normal - float(shift),
-        force_normal_sd=float(np.sqrt(cov[_NORMAL, _NORMAL])),
-    )
+    return {
+        "traction": replace(traction, wrench=wrench, wrench_cov=cov),
+        "force_normal": touch.force_normal - float(shift),
+        "force_normal_sd": math.sqrt(cov[_NORMAL, _NORMAL]),
+    }

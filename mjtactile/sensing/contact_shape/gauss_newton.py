@@ -6,8 +6,10 @@ The membrane is the forward model. The result includes the model evidence
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,7 @@ _STRAIGHT = {
 _BEND_STEP = 0.6
 _FLAT = 40.0
 _SIZE_STEP = 0.25
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,8 @@ class Fit:
         gradient: Gradient (k,) of the same half sum.
         slopes: Derivatives of heights and sums.
         force: Normal force of the nodal estimate in this image, N.
+        shared: Values that depend on the nodes of the membrane solution alone. Linear updates, with
+            the same nodes, share them.
     """
 
     family: ShapeModel
@@ -65,6 +70,7 @@ class Fit:
     gradient: Array
     slopes: Jacobian
     force: float
+    shared: dict[str, Any] = field(default_factory=dict, repr=False)
     _covs: dict[float, tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -97,6 +103,28 @@ class Fit:
         """Mean square of the whitened heights."""
         return self.chi2 / len(self.at.residual)
 
+    def once(self, name: str, compute: Callable[[], _T]) -> _T:
+        """Return the shared value `name`, computed when it is first needed."""
+        if name not in self.shared:
+            self.shared[name] = compute()
+        return self.shared[name]
+
+    def updated(self, at: FitState, gradient: Array, force: float) -> Fit:
+        """Return the fit after a linear update to the state `at`, with the same nodes, Jacobian and
+        covariance."""
+        return Fit(
+            self.family,
+            self.hint,
+            at,
+            self.prior,
+            self.curvature,
+            gradient,
+            self.slopes,
+            force,
+            self.shared,
+            self._covs,
+        )
+
     def precision_with(self, noise: float) -> Array:
         """Return the precision (k, k) of the scaled parameters; marker variances are multiplied by
         `noise`."""
@@ -108,12 +136,19 @@ class Fit:
 
     def _covs_with(self, noise: float) -> tuple[Array, Array]:
         """Return the covariances (k, k) of the scaled parameters and of the parameters. They are
-        needed several times."""
+        needed several times. A negative `noise` stands for this image alone."""
         if noise not in self._covs:
             sd = self.family.sd
-            scaled = np.linalg.inv(self.precision_with(noise))
+            alone = noise < 0
+            precision = self.curvature / -noise + np.eye(len(sd)) if alone else None
+            scaled = np.linalg.inv(self.precision_with(noise) if precision is None else precision)
             self._covs[noise] = (scaled, sd[:, None] * scaled * sd)
         return self._covs[noise]
+
+    def image_cov_with(self, noise: float) -> Array:
+        """Return the covariance (k, k) of the parameters from this image alone, with the prior
+        before any image."""
+        return self._covs_with(-noise)[1]
 
     def sums_cov_with(self, noise: float) -> Array:
         """Return the covariance (8, 8) of the membrane sums due to the parameters alone."""
@@ -152,7 +187,7 @@ def damped_step(J: Array, at: FitState, family: ShapeModel, prior: Prior, dampin
     H = normal + prior.precision
     H.flat[:: len(H) + 1] += damping * (normal.diagonal() + 1e-3)
     step = -np.linalg.solve(H, gradient)
-    maximum = _straight(family, at.theta) / family.sd
+    maximum = step_limits(family, at.theta) / family.sd
     far = np.abs(step) > maximum
     cut = bool(far.any())
     if cut:
@@ -177,7 +212,7 @@ def _limited_step(
     return step * float((maximum / np.maximum(np.abs(step), 1e-12)).min())
 
 
-def _straight(family: ShapeModel, theta: Array) -> Array:
+def step_limits(family: ShapeModel, theta: Array) -> Array:
     """Return the maximum step (k,) of each parameter."""
     fixed, curved, sized = _limits(family)
     maximum = np.where(sized, _SIZE_STEP * theta, fixed)
@@ -188,9 +223,8 @@ def _straight(family: ShapeModel, theta: Array) -> Array:
 @cache
 def _limits(family: ShapeModel) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the fixed step limits (k,), and masks (k,) of the curvatures and the sizes."""
-    kinds = [name.split("_")[0] for name in family.names]
-    fixed = np.array([_STRAIGHT.get(kind, 0.0) for kind in kinds])
-    return fixed, family.curved, np.array([kind in ("half", "radius") for kind in kinds])
+    fixed = np.array([_STRAIGHT.get(name.split("_")[0], 0.0) for name in family.names])
+    return fixed, family.curved, family.sized
 
 
 @dataclass(frozen=True)

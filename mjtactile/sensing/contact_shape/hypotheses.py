@@ -150,7 +150,7 @@ class PressHistory:
     def _kinds(self) -> dict[str, float]:
         """Probabilities of the kinds that the candidates may be."""
         sums: dict[str, float] = {}
-        for probability, fit in self.bodies():
+        for probability, fit in self.bodies:
             for kind, fraction in kinds_of(fit.family, fit.theta, fit.cov_with(self.noise)).items():
                 sums[kind] = sums.get(kind, 0.0) + probability * fraction
         return sums
@@ -167,9 +167,10 @@ class PressHistory:
         close = {candidate.family.name for candidate in known if candidate.behind < _BEHIND}
         return [family for family in families if family.name in close]
 
+    @cached_property
     def bodies(self) -> list[tuple[float, Fit]]:
-        """Return probability and fit of each candidate. The fit is the newest one for the most
-        likely candidate. For the others it comes from the last evaluation of all candidates."""
+        """Probability and fit of each candidate. The fit is the newest one for the most likely
+        candidate. For the others it comes from the last evaluation of all candidates."""
         fits = [self.now, *(candidate.fit for candidate in self.candidates[1:])]
         return list(zip(self.probabilities.tolist(), fits, strict=True))
 

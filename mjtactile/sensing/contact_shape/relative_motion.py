@@ -85,9 +85,8 @@ def tracked(
         assert rubber is not None
         dragged = track[-1].dragged + rubber.step
         twisted = track[-1].twisted + rubber.twist
-    # covariance of this image alone: information from earlier images is common to all of them
-    precision = found.curvature / scale + np.eye(len(found.theta))
-    cov = np.linalg.inv(precision) * np.outer(found.family.sd, found.family.sd)
+    # information from earlier images is common to all of them
+    variances = found.image_cov_with(scale).diagonal()
     turns = np.full(3, np.nan)
     rotation_var = np.full(3, np.nan)
     family = found.family
@@ -95,10 +94,10 @@ def tracked(
     for axis, index in enumerate(indices):  # rotation about x, y and z of S
         if index is not None:
             turns[axis] = found.theta[index]
-            rotation_var[axis] = cov[index, index]
+            rotation_var[axis] = variances[index]
     position = place_of(found.theta, found.hint)[:2] - dragged
     values = np.array([*position, turns[2] - twisted, *turns])
-    position_cov = 1e-6 * np.diag(cov)[:2] + s.motion_sd**2
+    position_cov = 1e-6 * variances[:2] + s.motion_sd**2
     var = np.array([*position_cov, rotation_var[2], *rotation_var])
     stand = ShapePose(name, time, values, var, dragged, twisted)
     return (*(old for old in track if time - old.time < s.motion_time), stand)
@@ -112,19 +111,19 @@ def motion(track: Track, found: Fit, *, slips: bool) -> RelativeMotion | None:
         return None
     time = np.array([pose.time for pose in track])
     values = np.array([pose.values for pose in track])
-    var = np.mean([pose.var for pose in track], axis=0)
     centered = time - time.mean()
     over = float(centered @ centered)
-    rates = centered @ (values - values.mean(axis=0)) / over
-    rate_var = var / over
+    rates = centered @ values / over
+    rate_var = np.array([pose.var for pose in track]).mean(axis=0) / over
     velocity = rates[:2]
     velocity_cov = np.diag(rate_var[:2])
-    rolls, rolls_cov = _rolling(found, velocity, velocity_cov)
-    turns = rates[3:5]
-    known = np.isfinite(turns)
-    rolling = np.where(known, turns, 0.0 if slips else rolls)
-    rolling_cov = np.where(np.outer(known, known), np.diag(rate_var[3:5]), rolls_cov)
+    rolling, rolling_cov = rates[3:5], np.diag(rate_var[3:5])
+    known = np.isfinite(rolling)
     flat = bool(known.all())
+    if not flat:
+        rolls, rolls_cov = _rolling(found, velocity, velocity_cov)
+        rolling = np.where(known, rolling, 0.0 if slips else rolls)
+        rolling_cov = np.where(np.outer(known, known), rolling_cov, rolls_cov)
     sliding = velocity if slips or flat else np.zeros(2)
     return RelativeMotion(
         velocity=velocity,

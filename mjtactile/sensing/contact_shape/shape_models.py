@@ -113,6 +113,11 @@ class ShapeModel:
         """Mask (k,) of the curvatures."""
         return np.array([name.startswith("k") for name in self.names])
 
+    @cached_property
+    def sized(self) -> NDArray[np.bool_]:
+        """Mask (k,) of the radii and half sides."""
+        return self.kept & ~self.curved
+
     def index(self, *names: str) -> int | None:
         """Return the index of the first parameter with one of these names; None: there is none."""
         return next((k for k, name in enumerate(self.names) if name in names), None)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.types import SHAPES, Array, ContactShape
+from mjtactile.core.types import SHAPES, Array, ContactShape, RelativeMotion
 from mjtactile.sensing.contact_shape.contact_area import areas, nearest_part, shares
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
@@ -35,10 +35,11 @@ def build_shape(
     sizes: tuple[float, tuple[float, float]],
     s: ContactShapeSettings,
     other: Deviation | None = None,
+    relative: RelativeMotion | None = None,
 ) -> ContactShape:
     """Build the reported contact shape from a fit. `scale` is the factor on the fit's covariance,
     from its misfit, `sizes` are the area and its interval, m^2, `other` is the deviation from the
-    model. The radius is that of the fitted ball, if the object is one."""
+    model, `relative` the motion. The radius is that of the fitted ball, if the object is one."""
     cov = reported_covariance(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, sizes[1], s)
@@ -47,8 +48,10 @@ def build_shape(
         theta, cov = theta + other.theta, cov + other.cov
     force = s.friction * found.state.force_normal
     total = _ContactSummary(sizes[0], force, sizes[1], found.misfit)
-    outline = _outline(forward, found, found.state.contact_forces)
-    shape = _body(found.family, theta, found.hint, cov, kind, probabilities, total, outline, s)
+    outline = found.once("outline", lambda: _outline(forward, found, found.state.contact_forces))
+    shape = _body(
+        found.family, theta, found.hint, cov, kind, probabilities, total, outline, s, relative
+    )
     if other is None or found.family.name != "ball":
         return shape
     return replace(_with_unequal(shape, other), **_radius(found.theta[3], own_sd))
@@ -76,10 +79,10 @@ def reported_covariance(found: Fit, scale: float, s: ContactShapeSettings) -> Ar
     """Return the covariance of the parameters including the error of membrane model and simulator.
     That error scales all curvatures or sizes together, and grows as fewer nodes touch."""
     size = s.mesh_ratio * s.size_by_node
-    by_node = {"k": s.mesh_ratio**2 * s.curvature_by_node, "radius": size, "half": size}
-    kinds = [name.split("_")[0] for name in found.family.names]
-    wrong = np.array([by_node.get(kind, 0.0) for kind in kinds]) / touching(found) * found.theta
-    return found.cov_with(scale) + np.outer(wrong, wrong)
+    family = found.family
+    curved = s.mesh_ratio**2 * s.curvature_by_node
+    wrong = (curved * family.curved + size * family.sized) / touching(found) * found.theta
+    return found.cov_with(scale) + np.multiply.outer(wrong, wrong)
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,7 @@ def _body(
     total: _ContactSummary,
     outline: Array,
     s: ContactShapeSettings,
+    relative: RelativeMotion | None = None,
 ) -> ContactShape:
     measures = _MEASURES[family.name](theta, cov, s)
     R, rotation = _axes(family, theta, measures.get("direction", 0.0))
@@ -118,6 +122,7 @@ def _body(
         force_normal=total.force,
         family=family.name,
         misfit=total.misfit,
+        motion=relative,
         **measures,
     )
 
@@ -133,18 +138,16 @@ def _several(
     """Build the result for several contacts, each with the nodes nearest to it. Each part gets its
     fraction of the area interval and of the force."""
     family = found.family
-    force = found.state.contact_forces
     thetas = family.split(found.theta)
-    nearest = nearest_part(forward, found)
     sizes = areas(forward, found, s)
     carry = shares(forward, found)
+    outlines = found.once("outlines", lambda: _outlines(forward, found))
     load = s.friction * found.state.force_normal
     maximum = max(sum(sizes), 1e-12)
     ends = np.cumsum([0, *(len(part.names) for part in family.parts)])
     bodies = []
     for index, part in enumerate(family.parts):
         part_slice = slice(ends[index], ends[index + 1])
-        carried = np.where(nearest == index, force, 0.0)
         kinds = kinds_of(part, thetas[index], cov[part_slice, part_slice])
         total = _ContactSummary(
             sizes[index],
@@ -160,7 +163,7 @@ def _several(
             max(kinds, key=lambda name: kinds[name]),
             dict.fromkeys(SHAPES, 0.0) | kinds,
             total,
-            _outline(forward, found, carried),
+            outlines[index],
             s,
         )
         bodies.append(body)
@@ -323,6 +326,15 @@ def _pose_cov(cov: Array, turns: _Rotations) -> Array:
         if a is None:
             pose[i, i] = np.nan
     return pose
+
+
+def _outlines(forward: ForwardModel, found: Fit) -> list[Array]:
+    """Return the outline of each of several contacts."""
+    nearest, force = nearest_part(forward, found), found.state.contact_forces
+    return [
+        _outline(forward, found, np.where(nearest == index, force, 0.0))
+        for index in range(len(found.family.parts))
+    ]
 
 
 def _outline(forward: ForwardModel, found: Fit, force: Array) -> Array:
