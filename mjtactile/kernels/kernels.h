@@ -343,7 +343,7 @@ int64_t qs_follow(const double *numbers /* 20 */, const double *law /* 11 */, in
                     const double *given /* 8 */, const double *compliance /* 2 * (columns - 2) * (rows - 2), 2 * (columns - 2) * (rows - 2) */,
                     int64_t carrier, int64_t nbody, const double *xpos /* nbody, 3 */, const double *xmat /* nbody, 9 */,
                     int64_t ngeom, const double *geom_xpos /* ngeom, 3 */, const double *geom_xmat /* ngeom, 9 */,
-                    const int64_t *geom /* geoms */, const int64_t *slot /* geoms */, const double *bounds /* geoms, 7 */,
+                    const int64_t *geom /* geoms */, const int64_t *slot /* geoms */, const double *bounds /* geoms, 6 */,
                     int64_t slots, const int64_t *body_of /* slots */, double *memory /* 26 */, double *patches /* slots, 57 */,
                     double *grip /* 3 * slots, 3 * slots */, int32_t *touched /* 3, columns, rows */,
                     double *before /* 10 + 6 * slots, columns, rows */);

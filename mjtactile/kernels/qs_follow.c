@@ -46,7 +46,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
     Memory *m = (Memory *)memory;
     Patch *patches = (Patch *)patch;
     const Scene s = {geoms, slots, geom, slot, body_of, bounds, geom_xpos, geom_xmat, xpos, xmat, xmat + 9 * carrier, xpos + 3 * carrier,
-                     f.numbers.depth};
+                     f.numbers.length_x / 2, f.numbers.length_y / 2, f.numbers.depth, f.numbers.roof};
     (void)nbody, (void)ngeom;
     Held held = {touched, before + 6 * f.count, before + 8 * f.count, before + 10 * f.count, touched + 2 * f.count};
     const int has_moved = qs_place_obstacles(&s, body, m, patches);

@@ -17,15 +17,31 @@
 #define EASE 8
 #define LOWER 4
 #define PAUSE 32        /* steps until the next attempt if no lift has a solution */
-/* numbers of a geom: squared distance within which it is near, m^2; center and half-extents, m, of
-   its bounding box, in its own frame */
-#define BOUNDS 7
+/* numbers of a geom: center and half-extents, m, of its bounding box, in its own frame */
+#define BOUNDS 6
 
 /* Replace a number; return 1 if it changes. */
 static int replace_number(double value, double *where) {
     const int changes = *where != value;
     *where = value;
     return changes;
+}
+
+/* Return 1 if the bounding box of a geom, with pose `at` and `turned` in S, overlaps the chamber and
+   its bulge. No axis of either box separates the two; a floor behind the sensor is separated by its
+   own normal only. */
+static int is_near_box(const Scene *s, const double *box, const double at[3], const double turned[9]) {
+    const double middle = (s->top - s->depth) / 2, half[3] = {s->half_x, s->half_y, (s->top + s->depth) / 2};
+    for (int i = 0; i < 3; i++) {
+        const double *row = turned + 3 * i;
+        double along = (i == 2 ? middle : 0) - at[i], across = 0, size = half[i], own = box[3 + i];
+        for (int k = 0; k < 3; k++) {
+            along -= row[k] * box[k], size += fabs(row[k]) * box[3 + k];
+            across += turned[3 * k + i] * ((k == 2 ? middle : 0) - at[k]), own += fabs(turned[3 * k + i]) * half[k];
+        }
+        if (fabs(along) > size || fabs(across - box[i]) > own) return 0;
+    }
+    return 1;
 }
 
 int qs_place_obstacles(const Scene *s, double *rows, Memory *m, Patch *patches) {
@@ -36,14 +52,8 @@ int qs_place_obstacles(const Scene *s, double *rows, Memory *m, Patch *patches) 
         double off[3], at[3], turned[9], *row = rows + QS_OBSTACLE * k;
         for (int i = 0; i < 3; i++) off[i] = s->geom_xpos[3 * s->geom[k] + i] - s->p[i];
         into(s->R, off, at);
-        const double *bounds = s->bounds + BOUNDS * k, *box = bounds + 1;
-        int is_near = at[0] * at[0] + at[1] * at[1] + at[2] * at[2] < bounds[0];
-        if (is_near) {
-            times(s->R, s->geom_xmat + 9 * s->geom[k], 1, turned);
-            double top = at[2];
-            for (int i = 0; i < 3; i++) top += turned[6 + i] * box[i] + fabs(turned[6 + i]) * box[3 + i];
-            is_near = top > -s->depth;
-        }
+        times(s->R, s->geom_xmat + 9 * s->geom[k], 1, turned);
+        const int is_near = is_near_box(s, s->bounds + BOUNDS * k, at, turned);
         if (!is_near) {
             for (int i = 0; i < 3; i++) moved |= replace_number(AWAY, row + 13 + i);
             continue;
@@ -68,7 +78,7 @@ int qs_is_clear(const Membrane *f, const double *x, long geoms, const double *bo
     double top = 0;
     for (long k = 0; k < f->count; k++) top = max_of(top, x[2 * f->count + k]);
     for (long k = 0; k < geoms; k++) {
-        const double *row = body + QS_OBSTACLE * k, *up = row + 10, *box = bounds + BOUNDS * k + 1;
+        const double *row = body + QS_OBSTACLE * k, *up = row + 10, *box = bounds + BOUNDS * k;
         if (row[13] >= AWAY) continue;
         double bottom = row[15];
         for (int i = 0; i < 3; i++) bottom += up[i] * box[i] - fabs(up[i]) * box[3 + i];

@@ -19,14 +19,14 @@ typedef struct {
     double *x, *force, *trend, *found;
 } Solution;
 
-/* MuJoCo's geoms and bodies near a membrane, in front of the glass at -`depth` m. `slot`: patch of each geom; `of`: body of each
-   patch. */
+/* MuJoCo's geoms and bodies near a membrane. `slot`: patch of each geom; `of`: body of each patch. The membrane is within the
+   half-extents, m, and from the glass at -`depth` to `top` m. */
 typedef struct {
     long geoms, slots;
     const int64_t *geom, *slot, *of;
     const double *bounds, *geom_xpos, *geom_xmat, *xpos, *xmat;
     const double *R, *p;            /* pose of the carrier */
-    double depth;
+    double half_x, half_y, depth, top;
 } Scene;
 
 /* Write the poses of the geoms into the membrane's obstacles, and mark the near bodies. Returns 1

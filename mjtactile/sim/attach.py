@@ -40,6 +40,7 @@ from mjtactile.sim.sensor.effect_switches import PHYSICS, effects_named, set_law
 from mjtactile.sim.sensor.membrane import ANYTHING, BODY, FLEX, add_membrane
 from mjtactile.sim.sensor.mesh import MembraneMesh, make_mesh
 from mjtactile.sim.sensor.mesh_sensor import TactileSensor
+from mjtactile.sim.sensor.own_links import exclude_own_links
 from mjtactile.sim.sensor.quasistatic_geoms import QS_GRID, add_feeler
 from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
@@ -156,6 +157,9 @@ def attach_membrane(
         spec.attach(child, site=target, prefix=prefix)
     except ValueError as error:
         raise InputError(" ".join(str(error).split()), source="attach", field="site") from error
+    if Effect.MESH in on:
+        vertices = [f"{prefix}v{vertex}" for vertex in grid.interior]
+        exclude_own_links(spec, target.parent, vertices)
     return Attachment(design, grid, prefix, contact, on)
 
 

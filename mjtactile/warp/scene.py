@@ -126,7 +126,7 @@ def _sensor_geoms(
     membrane = membrane_of(design, grid)
     top = float(membrane.rest.x[2].max())
     radius = math.hypot(math.hypot(design.frame.length, design.frame.width) / 2, top) + 1e-3
-    found = [ContactGeoms(model, frame, radius, fixed_to_world=True) for frame in frames]
+    found = [ContactGeoms(model, frame, fixed_to_world=True) for frame in frames]
     geoms = max(1, *(len(part.ids) for part in found))
     bodies = max(1, *(len(part.bodies) for part in found))
     tables = {
@@ -154,6 +154,9 @@ def _sensor_geoms(
     sensor_geoms.bodies = wp.array(listed, dtype=int)
     sensor_geoms.rbound, sensor_geoms.box = m.geom_rbound, m.geom_aabb
     sensor_geoms.radius = radius
+    depth, roof = design.chamber.depth, membrane.roof
+    sensor_geoms.middle = wp.vec3(0.0, 0.0, (roof - depth) / 2)
+    sensor_geoms.half = wp.vec3(design.frame.length / 2, design.frame.width / 2, (roof + depth) / 2)
     sensor_geoms.mesh = m.geom_dataid
     first, count, planes = _plane_table(model, touchable)
     sensor_geoms.first, sensor_geoms.count = wp.array(first, dtype=int), wp.array(count, dtype=int)

@@ -16,12 +16,13 @@ G = 9.81
 QUASISTATIC = "-mesh"
 
 
-def scene(bodies, effects=QUASISTATIC, timestep=2e-3, carrier=""):
+def scene(bodies, effects=QUASISTATIC, timestep=2e-3, carrier="", contact=""):
     """Place bodies (MJCF) over one sensor that faces up, inflated to 1 kPa and sealed.
 
     The bodies arrive when the chamber is sealed.
     """
-    spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{carrier}{bodies}</worldbody></mujoco>")
+    worldbody = f"<worldbody>{carrier}{bodies}</worldbody>"
+    spec = mujoco.MjSpec.from_string(f"<mujoco>{worldbody}<contact>{contact}</contact></mujoco>")
     configure_options(spec, timestep)
     site = spec.site("s") or spec.worldbody.add_site(name="s")
     world = World(spec, [attach_membrane(spec, DENSE, site=site, effects=effects)])
@@ -180,19 +181,28 @@ def test_a_body_that_starts_deep_in_the_membrane_is_lifted_out():
     assert world.flags["quasistatic"].last < world.time - 0.5
 
 
-FINGER = """<body name="proximal" pos="0 0 -0.1"><joint name="knuckle" type="hinge" axis="0 1 0"
- stiffness="1000" damping="1"/>
+FINGER = """<body name="palm" pos="0 0 -0.1">{palm}<body name="proximal"><joint name="knuckle"
+ type="hinge" axis="0 1 0" stiffness="1000" damping="1"/>{proximal}
  <geom name="knuckle" type="capsule" size="0.012 0.03" mass="0.1" pos="0 0 0.054"/>
  <body name="distal" pos="0 0 0.1"><joint name="tip" type="hinge" axis="0 1 0" stiffness="1000"
   damping="1"/><geom name="distal" type="capsule" size="0.012 0.01" mass="0.05" pos="0 0 -0.035"/>
-  <site name="s"/></body></body>"""
+  <site name="s"/></body></body></body>"""
+TAB = '<geom name="tab" size="0.004" pos="0.014 0 0.1"/>'
+EXCLUDED = '<exclude body1="palm" body2="distal"/>'
 
 
-def test_the_links_next_to_the_sensor_are_not_estimated():
-    """The capsule of the proximal link reaches into the chamber; the ball alone is carried."""
-    world = scene(ball("a", 0, 0, 0.0125, 0.008, 0.03), carrier=FINGER)
+@pytest.mark.parametrize("effects", ["auto", QUASISTATIC], ids=["mesh", "quasi-static"])
+@pytest.mark.parametrize(
+    ("palm", "proximal", "contact"), [("", TAB, ""), (TAB, "", EXCLUDED)], ids=["parent", "exclude"]
+)
+def test_the_links_next_to_the_sensor_are_not_estimated(palm, proximal, contact, effects):
+    """Capsule and tab of the next links reach into the chamber; the ball alone is carried."""
+    carrier = FINGER.format(palm=palm, proximal=proximal)
+    world = scene(ball("a", 0, 0, 0.0125, 0.008, 0.03), effects, carrier=carrier, contact=contact)
     world.step(600)
-    assert world.sensors[0].wrench[2] == pytest.approx(-0.03 * G, abs=1e-3)
+    assert ground_truth.contact_force(world, 0)[2] == pytest.approx(-0.03 * G, abs=1e-3)
+    names = {world.model.geom(geom).name for pair in world.data.contact.geom for geom in pair}
+    assert "tab" not in names
     assert "rim_contact" not in world.flags and "quasistatic" not in world.flags
 
 
@@ -297,6 +307,33 @@ def test_a_sensor_stands_on_a_geom_of_the_world(fixed):
         heights.append(float(world.data.qpos[world.model.joint("arm").qposadr[0]]))
     assert -6e-3 < heights[0] < -3e-3
     assert heights[0] == pytest.approx(heights[1], rel=0.01)
+
+
+@pytest.mark.parametrize("tilt", [60.0, 80.0, 89.0])
+@pytest.mark.parametrize(
+    "fixed",
+    [
+        '<geom type="plane" size="1 1 0.1" pos="0.3 0.2 0"/>',
+        '<geom type="box" size="0.5 0.4 0.02" pos="0.2 0.1 -0.02"/>',
+    ],
+    ids=["floor", "table"],
+)
+def test_a_floor_behind_the_sensor_does_not_touch_it(fixed, tilt):
+    """A sensor that faces sideways, with its housing 1 mm above a floor, touches nothing.
+
+    The floor is behind the membrane. Its bounding box, as seen from the sensor, is in front, too.
+    """
+    angle = np.radians(tilt)
+    half = DENSE.frame.length / 2 + DENSE.frame.rim
+    height = half * np.sin(angle) + DENSE.camera.distance * np.cos(angle) + 1e-3
+    carrier = (
+        f'<body pos="0 0 {height}" euler="0 {tilt} 0"><joint type="slide" axis="0 1 0"/>'
+        '<site name="s"/></body>'
+    )
+    world = scene(fixed, carrier=carrier)
+    world.step(20)
+    assert not ground_truth.contact_force(world, 0).any()
+    assert not world.flags
 
 
 def lowered(fixed, effects):

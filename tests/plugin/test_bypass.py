@@ -75,14 +75,14 @@ SILENT = '<geom name="a" size="0.01" mass="0.05" contype="0" conaffinity="0"/>'
 SMALL = '<geom name="b" size="0.001" pos="0 0 0.3" mass="0"/>'
 
 
-def bound(objects, pad="", pair=(), exclude=(), z=0.0145):
+def bound(objects, pad="", pair=(), exclude=(), z=0.0145, effects=None):
     spec = mujoco.MjSpec.from_string(SCENE.format(geom=objects, z=z, pad=pad))
     if pair:
         spec.add_pair(geomname1=pair[0], geomname2=pair[1])
     if exclude:
         spec.add_exclude(bodyname1=exclude[0], bodyname2=exclude[1])
     mjtactile.configure_options(spec)
-    tip = mjtactile.attach(spec, "dense", site="tip", prefix="t/")
+    tip = mjtactile.attach(spec, "dense", site="tip", prefix="t/", effects=effects)
     model = spec.compile()
     data = mujoco.MjData(model)
     return model, data, tip.bind(model, data)
@@ -106,10 +106,11 @@ def test_a_pair_with_the_carrier_holds_for_its_membrane(pair):
     np.testing.assert_allclose(finger.ground_truth_wrench()[2], -0.05 * G, atol=0.02)
 
 
+@pytest.mark.parametrize("effects", [PHYSICS | CAMERA, QUASISTATIC], ids=["mesh", "quasi-static"])
 @pytest.mark.parametrize("exclude", [("finger", "ball"), ("ball", "finger")])
-def test_an_exclude_of_the_carrier_is_named_and_the_membrane_carries(exclude):
+def test_an_exclude_of_the_carrier_is_named_and_the_membrane_carries(exclude, effects):
     ball = '<geom size="0.01" mass="0.05"/>'
     with pytest.warns(UserWarning, match="<exclude> of the carrier and 'ball' does not apply"):
-        model, data, finger = bound(ball, exclude=exclude)
+        model, data, finger = bound(ball, exclude=exclude, effects=effects)
     mjtactile.step(model, data, [finger], nstep=100)
     np.testing.assert_allclose(finger.ground_truth_wrench()[2], -0.05 * G, atol=0.02)

@@ -14,6 +14,7 @@ from mjtactile.quasistatic import QuasistaticMembrane, obstacles
 from mjtactile.quasistatic.incremental import IncrementalMembrane, Sticking, empty_rows
 from mjtactile.quasistatic.obstacles import Obstacle, obstacle
 from mjtactile.sim.sensor import feature_size
+from mjtactile.sim.sensor.own_links import own_links
 
 QS_GRID = (21, 16)
 FEELER = "feeler"
@@ -81,15 +82,12 @@ class ContactGeoms:
     `ids` (k,) are the geoms and `rows` (k, NUMBERS) their obstacles, whose poses the kernel writes.
     Geoms that are fixed to each other form a patch: `slots` (k,) are their patches and `bodies`
     (n,) the MuJoCo bodies that carry these. `pool` holds the planes of the meshes' hulls, or is
-    None. `bounds` (k, 7): squared distance from the sensor's origin within which a geom is near,
-    m^2, then center and half-extents, m, of its bounding box.
+    None. `bounds` (k, 6): center and half-extents, m, of a geom's bounding box.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, body: int, radius: float, *, fixed_to_world: bool = False
-    ):
-        """Collect the geoms that may come within `radius` m of the sensor's `body`, without its own
-        links, and without those fixed to the world if `fixed_to_world` is False.
+    def __init__(self, model: mujoco.MjModel, body: int, *, fixed_to_world: bool = False):
+        """Collect the geoms that may touch the sensor's `body`, without its own links, and without
+        those fixed to the world if `fixed_to_world` is False.
 
         Raises InputError for movable soft objects and height fields. Those fixed to the world do
         not touch the membrane.
@@ -107,33 +105,11 @@ class ContactGeoms:
         bodies, slots = np.unique(carriers, return_inverse=True)
         self.bodies: NDArray[np.int64] = bodies.astype(np.int64)
         self.slots: NDArray[np.int64] = slots.astype(np.int64)
-        size = model.geom_rbound[self.ids].copy()
         boxes = model.geom_aabb[self.ids].copy()
         planes = model.geom_type[self.ids] == _G.mjGEOM_PLANE
-        size[planes] = np.linalg.norm(_PLANE_HALF)
         boxes[planes] = [0.0, 0.0, -_PLANE_HALF[2], *_PLANE_HALF]
-        self.bounds = np.column_stack([(radius + size) ** 2, boxes])
+        self.bounds = np.ascontiguousarray(boxes)
         _refuse_soft(model)
-
-
-def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
-    """Return the MuJoCo bodies (n,) whose contacts with the sensor's `body` do not count.
-
-    A joint carries the sensor's link on theirs, as in MuJoCo's parent-child filter, or an
-    `<exclude>` names both. Links that the sensor's link carries do count: a press moves its
-    indenter relative to the sensor.
-    """
-    welds = feature_size.weld_bodies(model)
-    link = welds[body]
-    # as MuJoCo's filter: mocap bodies are fixed to the world, which is no link
-    fixed = np.asarray(model.body_weldid)
-    link_body = fixed[body]
-    above = fixed[model.body_parentid[link_body]] if link_body else 0
-    neighbors = (fixed == above) & (above != 0)
-    signatures = np.asarray(model.exclude_signature, np.int64)
-    pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)
-    named = pairs[(welds[pairs] == link).any(axis=1)]
-    return np.union1d(np.flatnonzero(neighbors), named[welds[named] != link])
 
 
 def _body_of(model: mujoco.MjModel, geom: int) -> Obstacle:

@@ -72,7 +72,7 @@ class QuasistaticSensor(BaseSensor):
         top = float(membrane.rest.x[2].max())
         half = math.hypot(design.frame.length, design.frame.width) / 2
         extent = math.hypot(half, top) + 1e-3
-        self._geoms = ContactGeoms(model, self.body_id, extent, fixed_to_world=True)
+        self._geoms = ContactGeoms(model, self.body_id, fixed_to_world=True)
         self._live = IncrementalMembrane(
             membrane, self._geoms.rows, self._geoms.pool, below_rim=math.inf
         )

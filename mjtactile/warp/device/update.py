@@ -24,6 +24,8 @@ from mjtactile.warp.device.sticking import (
 
 wp.set_module_options({"enable_backward": False})
 
+_DEEP = 10.0  # half-extent of a plane's solid side, m
+
 
 @wp.struct
 class SensorGeoms:
@@ -33,7 +35,8 @@ class SensorGeoms:
     model, -1 if absent, `kinds` their kinds, `slots` the numbers of their bodies among `bodies`
     (fingers, slots), 0 for the world. `mesh` (1 or worlds, geoms of the model) is the mesh of a
     geom, `first` and `count` (meshes,) its planes. `rbound` m and `box` are its bounding sphere and
-    box. `radius` m is that of a membrane. `outputs` (fingers, 3) are the addresses of wrench,
+    box. `radius` m is that of a membrane; `middle` and `half` m are center and half-extents of the
+    chamber with its bulge. `outputs` (fingers, 3) are the addresses of wrench,
     pressure and touching in `sensordata`, -1 if absent.
     """
 
@@ -49,6 +52,8 @@ class SensorGeoms:
     box: wp.array3d(dtype=wp.vec3)
     outputs: wp.array2d(dtype=int)
     radius: float
+    middle: wp.vec3
+    half: wp.vec3
 
 
 @wp.struct
@@ -130,20 +135,31 @@ def _is_near(
     """
     reach = sensor_geoms.radius
     near = reach + sensor_geoms.rbound[world % sensor_geoms.rbound.shape[0], g]
-    found = wp.dot(at, at) < near * near
-    inside = wp.transpose(R) @ (-at)  # origin of S in the geom's frame
     if sensor_geoms.kinds[finger, k] == PLANE:
-        found = inside[2] < reach
-    elif found and sensor_geoms.bodies[finger, sensor_geoms.slots[finger, k]] == 0:
+        return _beyond(sensor_geoms, at, R, 2, -_DEEP, _DEEP) < 0.0
+    found = wp.dot(at, at) < near * near
+    if found and sensor_geoms.bodies[finger, sensor_geoms.slots[finger, k]] == 0:
         row = world % sensor_geoms.box.shape[0]
         middle = sensor_geoms.box[row, g, 0]
         half = sensor_geoms.box[row, g, 1]
-        outside = float(0.0)
-        for c in range(3):
-            beyond = wp.max(wp.abs(inside[c] - middle[c]) - half[c], 0.0)
-            outside += beyond * beyond
-        found = outside < reach * reach
+        for axis in range(3):
+            if _beyond(sensor_geoms, at, R, axis, middle[axis], half[axis]) > 0.0:
+                found = False
     return found
+
+
+@wp.func
+def _beyond(
+    sensor_geoms: SensorGeoms, at: wp.vec3, R: wp.mat33, axis: int, middle: float, half: float
+) -> float:
+    """Return the distance between the chamber with its bulge and a geom's bounding box along an
+    axis of the geom, m."""
+    normal = wp.vec3(R[0, axis], R[1, axis], R[2, axis])
+    offset = wp.dot(normal, sensor_geoms.middle - at) - middle
+    size = wp.dot(
+        wp.vec3(wp.abs(normal[0]), wp.abs(normal[1]), wp.abs(normal[2])), sensor_geoms.half
+    )
+    return wp.abs(offset) - size - half
 
 
 @wp.func

@@ -1,0 +1,86 @@
+"""Links of the robot next to a sensor, whose contacts with its membrane do not count.
+
+MuJoCo's filters compare bodies. The sensor is a part of the link that carries it, but a vertex of
+the mesh is a body of its own, so that the filter of parent and child does not apply to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from mjtactile.sim.sensor.feature_size import weld_bodies
+
+
+def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
+    """Return the MuJoCo bodies (n,) whose contacts with the sensor's `body` do not count.
+
+    A joint carries the sensor's link on theirs, as in MuJoCo's parent-child filter, or an
+    `<exclude>` names both, for bodies of the same robot. Links that the sensor's link carries do
+    count: a press moves its indenter relative to the sensor.
+    """
+    welds = weld_bodies(model)
+    link = welds[body]
+    # as MuJoCo's filter: mocap bodies are fixed to the world, which is no link
+    fixed = np.asarray(model.body_weldid)
+    link_body = fixed[body]
+    above = fixed[model.body_parentid[link_body]] if link_body else 0
+    neighbors = (fixed == above) & (above != 0)
+    signatures = np.asarray(model.exclude_signature, np.int64)
+    pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)
+    named = pairs[(welds[pairs] == link).any(axis=1)]
+    robot = model.body_rootid[named] == model.body_rootid[body]
+    return np.union1d(np.flatnonzero(neighbors), named[robot & (welds[named] != link)])
+
+
+def exclude_own_links(
+    spec: mujoco.MjSpec, carrier: mujoco.MjsBody, vertices: Sequence[str]
+) -> None:
+    """Exclude contacts of the mesh's `vertices` with the bodies that `own_links` returns.
+
+    Args:
+        spec: Scene with the sensor.
+        carrier: Body of the sensor's site.
+        vertices: Names of the bodies of the vertices.
+    """
+    link = _moving(carrier)
+    if link.parent is None:
+        return
+    above = _moving(link.parent)
+    fixed = [] if above.parent is None else _fixed_to(above)
+    mine = {body.name for body in _fixed_to(link)} - {""}
+    robot = {body.name for body in _branch(_root(link))}
+    pairs = [{pair.bodyname1, pair.bodyname2} for pair in spec.excludes]
+    named = set().union(*(pair - mine for pair in pairs if pair & mine)) & robot
+    for number, body in enumerate(fixed):
+        body.name = body.name or f"{vertices[0]}_link{number}"
+    for other in {body.name for body in fixed} | named:
+        for vertex in vertices:
+            spec.add_exclude(bodyname1=vertex, bodyname2=other)
+
+
+def _moving(body: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return the first body with joints from `body` up to the world, or the world."""
+    while body.parent is not None and not list(body.joints):
+        body = body.parent
+    return body
+
+
+def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return the ancestor of `body` that is a child of the world."""
+    while body.parent is not None and body.parent.parent is not None:
+        body = body.parent
+    return body
+
+
+def _fixed_to(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """Return `body` and the bodies below it that no joint moves relative to it."""
+    return [body, *(b for child in body.bodies if not list(child.joints) for b in _fixed_to(child))]
+
+
+def _branch(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """Return `body` and all bodies below it."""
+    return [body, *(each for child in body.bodies for each in _branch(child))]
