@@ -8,13 +8,7 @@ import os
 from functools import cache
 from pathlib import Path
 
-from mjtactile.types import (
-    Command,
-    Observation,
-    command_from_action,
-    load_policy,
-    policy_observation,
-)
+from mjtactile.types import Command, Observation, load_policy
 
 POLICY = Path(os.environ.get("MJTACTILE_POLICY", Path(__file__).with_name("policy.npz")))
 load = cache(load_policy)  # one file is read once
@@ -23,4 +17,4 @@ if "MJTACTILE_POLICY" in os.environ:
 
 
 def step(observation: Observation) -> Command:
-    return command_from_action(observation, load(POLICY)(policy_observation(observation)))
+    return load(POLICY).command(observation)

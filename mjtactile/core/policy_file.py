@@ -1,7 +1,8 @@
 """File of a policy: a network with its activation, checked when it is saved, loaded and evaluated.
 
 A file.npz has the weights and biases w0, b0, w1, b1, … and the name of the activation between the
-layers. A file.onnx is evaluated by onnxruntime.
+layers. With the arrays of a `RecurrentUnit`, the policy has a memory. A file.onnx is evaluated by
+onnxruntime.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ import io
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,20 +21,23 @@ from numpy.typing import ArrayLike
 
 from mjtactile.core import foreign_file
 from mjtactile.core.errors import InputError
-from mjtactile.core.policy import policy_observation_names
+from mjtactile.core.policy import command_from_action, policy_observation
+from mjtactile.core.policy_network import (
+    ACTIVATIONS,
+    DEFAULT_ACTIVATION,
+    OUTPUTS,
+    RECURRENT_SIZES,
+    SIZES,
+    Layers,
+    check_finite,
+    check_layers,
+    checked_activation,
+    sized,
+)
+from mjtactile.core.recurrent_policy import STATE, RecurrentUnit, read_unit, recurrent_observation
 from mjtactile.core.signature_checks import validated
-from mjtactile.core.types import Array
+from mjtactile.core.types import Array, Command, Observation
 
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
-    "tanh": np.tanh,
-    "relu": lambda x: np.maximum(x, 0.0),
-}
-"""Activations between the layers, by name."""
-OUTPUTS = 3
-"""Length of an action."""
-_BEFORE = "tanh"  # activation of files that name none
-_FINGERS_MAX = 8
-_SIZES = {len(policy_observation_names(n)): n for n in range(1, _FINGERS_MAX + 1)}
 _SUFFIXES = (".npz", ".onnx")
 LARGEST = 1 << 26
 """Maximum size of a policy, also once it is unpacked, bytes."""
@@ -43,7 +47,6 @@ _BROKEN = (
     *(NotImplementedError, RuntimeError, struct.error, zlib.error, zipfile.BadZipFile),
 )
 """Errors of numpy and zipfile for damaged archives."""
-_Layers = Sequence[tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,18 +58,43 @@ class Policy:
         inputs: Length of its vector.
         source: Its file, for messages.
         layers: Weights (outputs, inputs) and biases (outputs,), first to last; none of FILE.onnx.
+        unit: Its memory; None: the action depends on the present observation only.
     """
 
     act: Callable[[Array], Array]
     inputs: int
     source: str
-    layers: _Layers = ()
+    layers: Layers = ()
+    unit: RecurrentUnit | None = None
+
+    def command(self, observation: Observation) -> Command:
+        """Compute the command of a controller, with the policy's state in its memory.
+
+        Args:
+            observation: Observation of the controller.
+
+        Returns:
+            The command.
+
+        Raises:
+            InputError: The rig has another number of fingers than in training, or the action is not
+                finite.
+        """
+        if self.unit is None:
+            return command_from_action(observation, self(policy_observation(observation)))
+        vector = recurrent_observation(observation)
+        if len(vector) != self.unit.inputs:
+            raise self._size_error(len(vector), self.unit.inputs, RECURRENT_SIZES)
+        features, kept = self.unit.after(vector, observation.command.memory.get(STATE))
+        command = command_from_action(observation, self(features))
+        return replace(command, memory={**command.memory, STATE: kept})
 
     def __call__(self, observation: ArrayLike) -> Array:
         """Evaluate the policy.
 
         Args:
-            observation: Vector of `policy_observation`.
+            observation: Vector of `policy_observation`; with a `unit`, the features that it
+                computes.
 
         Returns:
             Action (3,).
@@ -76,14 +104,17 @@ class Policy:
         """
         x = np.asarray(observation)
         if x.shape != (self.inputs,):
-            trained = f"the policy was trained with {_sized(self.inputs)}"
-            raise self._error("observation", f"has {_sized(x.size)}, but {trained}")
+            raise self._size_error(x.size, self.inputs, {} if self.unit else SIZES)
         action = np.asarray(self.act(x))
         if action.shape != (OUTPUTS,):
             raise self._error("action", f"shape {action.shape} does not match ({OUTPUTS},)")
         if not np.isfinite(action).all():
             raise self._error("action", f"{action.tolist()} is not finite")
         return action
+
+    def _size_error(self, found: int, trained: int, sizes: Mapping[int, int]) -> InputError:
+        valid = f"but the policy was trained with {sized(trained, sizes)}"
+        return self._error("observation", f"has {sized(found, sizes)}, {valid}")
 
     def _error(self, field: str, text: str) -> InputError:
         return InputError(text, source=self.source, field=field)
@@ -95,6 +126,7 @@ def save_policy(
     layers: Sequence[tuple[Any, Any]],
     *,
     activation: str | None = None,
+    unit: RecurrentUnit | None = None,
     input_center: ArrayLike = 0.0,
     input_scale: ArrayLike = 1.0,
     output_center: ArrayLike = 0.0,
@@ -110,6 +142,8 @@ def save_policy(
         path: File, .npz.
         layers: Weights (outputs, inputs) and biases (outputs,) of each layer, first to last.
         activation: Function between the layers: "tanh" or "relu". A single layer needs none.
+        unit: Memory ahead of the first layer, which then has its state, the scaled vector and the
+            scaled change as inputs. Center and scale have one entry for each of the last two.
         input_center: Center of the observations, a number or one per entry.
         input_scale: Their scale. An entry with the scale inf is not used.
         output_center: Center of the actions.
@@ -123,20 +157,30 @@ def save_policy(
     if target.suffix != ".npz":
         raise InputError(f"{target.name!r}", source=source, field="path", choices=["FILE.npz"])
     plain = [(np.asarray(w, float), np.asarray(b, float)) for w, b in layers]
-    _check_layers(plain, source)
-    chosen = _checked_activation(activation, len(plain), source)
+    given = {} if unit is None else vars(unit)
+    checked = read_unit(dict(given), tuple(RECURRENT_SIZES), source)
+    check_layers(plain, source, checked)
+    chosen = checked_activation(activation, len(plain), source)
     w, b = plain[0]
-    w = w / _entries(input_scale, w.shape[1], "input_scale", is_scale=True)
-    plain[0] = (w, b - w @ _entries(input_center, w.shape[1], "input_center"))
+    first = 0 if checked is None else checked.units  # the state has no scale
+    scale = np.ones(w.shape[1])
+    center = np.zeros(w.shape[1])
+    scale[first:] = _entries(input_scale, w.shape[1] - first, "input_scale", is_scale=True)
+    center[first:] = _entries(input_center, w.shape[1] - first, "input_center")
+    w = w / scale
+    plain[0] = (w, b - w @ center)
     w, b = plain[-1]
-    scale = _entries(output_scale, OUTPUTS, "output_scale")
-    plain[-1] = (w * scale[:, None], _entries(output_center, OUTPUTS, "output_center") + scale * b)
-    _check_finite(plain, source)
+    factor = _entries(output_scale, OUTPUTS, "output_scale")
+    biases = _entries(output_center, OUTPUTS, "output_center") + factor * b
+    plain[-1] = (w * factor[:, None], biases)
+    check_finite(plain, source)
     arrays = {
         f"{kind}{k}": a
         for k, layer in enumerate(plain)
         for kind, a in zip("wb", layer, strict=True)
     }
+    if checked is not None:
+        arrays |= vars(checked.scaled(center[first:], scale[first:]))
     np.savez(target, allow_pickle=False, activation=np.array(chosen), **arrays)
 
 
@@ -185,25 +229,26 @@ def _load_npz(path: Path) -> Policy:
     except _BROKEN as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"is no numpy archive: {text}", source=path) from error
-    activation = str(values.pop("activation", _BEFORE))
+    activation = str(values.pop("activation", DEFAULT_ACTIVATION))
+    if any(np.asarray(value).dtype.kind not in "fiu" for value in values.values()):
+        raise InputError("has arrays that are not numeric", source=path)
+    unit = read_unit(values, tuple(RECURRENT_SIZES), path)
     count = len(values) // 2
     names = [f"{kind}{k}" for k in range(count) for kind in "wb"]
     if not names or set(names) != values.keys():
         found = ", ".join(sorted(values)) or "no arrays"
         raise InputError(f"has {found}", source=path, choices=["w0, b0, w1, b1, …"])
-    if any(value.dtype.kind not in "fiu" for value in values.values()):
-        raise InputError("has arrays that are not numeric", source=path)
     layers = [(values[f"w{k}"], values[f"b{k}"]) for k in range(count)]
-    _check_layers(layers, path)
-    _check_finite(layers, path)
-    between = ACTIVATIONS[_checked_activation(activation, count, path)]
+    check_layers(layers, path, unit)
+    check_finite(layers, path)
+    between = ACTIVATIONS[checked_activation(activation, count, path)]
 
     def act(x: Array) -> Array:
         for k, (w, b) in enumerate(layers):
             x = w @ (between(x) if k else x) + b
         return x
 
-    return Policy(act, layers[0][0].shape[1], str(path), layers)
+    return Policy(act, layers[0][0].shape[1], str(path), layers, unit)
 
 
 def _require_bounded(archive: zipfile.ZipFile, path: Path) -> None:
@@ -229,7 +274,7 @@ def _load_onnx(path: Path) -> Policy:
         raise InputError(f"cannot be read: {text}", source=path) from error
     given, made = session.get_inputs(), session.get_outputs()
     shapes = f"inputs {[list(x.shape) for x in given]}, outputs {[list(x.shape) for x in made]}"
-    if len(given) != 1 or len(made) != 1 or given[0].shape[-1] not in _SIZES:
+    if len(given) != 1 or len(made) != 1 or given[0].shape[-1] not in SIZES:
         choices = ["one input (1, 30) for two fingers, one output (1, 3)"]
         raise InputError(shapes, source=path, field="shape", choices=choices)
     name = given[0].name
@@ -238,53 +283,3 @@ def _load_onnx(path: Path) -> Policy:
         return np.asarray(session.run(None, {name: x[None]})[0])[0]
 
     return Policy(act, given[0].shape[-1], str(path))
-
-
-def _check_layers(layers: _Layers, source: Any) -> None:
-    """Check that each layer fits the one before, the observation, and the action."""
-    if not layers:
-        raise InputError("has no layers", source=source, field="layers")
-    first = layers[0][0].shape
-    inputs = first[1] if len(first) == 2 else 0
-    if inputs not in _SIZES:
-        is_turned = len(first) == 2 and first[0] in _SIZES
-        text = f"weights {first} have {inputs} inputs{_transposed_hint(is_turned)}"
-        choices = [f"{size} for {n} finger{'s' if n > 1 else ''}" for size, n in _SIZES.items()]
-        raise InputError(text, source=source, field="layers[0]", choices=choices[:3])
-    for k, (w, b) in enumerate(layers):
-        outputs = OUTPUTS if k == len(layers) - 1 else b.size
-        if w.shape != (outputs, inputs) or b.shape != (outputs,):
-            hint = _transposed_hint(w.shape == (inputs, outputs))
-            text = f"weights {w.shape} and biases {b.shape} do not match{hint}"
-            choices = [f"weights ({outputs}, {inputs}) and biases ({outputs},)"]
-            raise InputError(text, source=source, field=f"layers[{k}]", choices=choices)
-        inputs = outputs
-
-
-def _transposed_hint(is_turned: bool) -> str:
-    return "; the weights are transposed" if is_turned else ""
-
-
-def _check_finite(layers: _Layers, source: Any) -> None:
-    for k, layer in enumerate(layers):
-        for name, values in zip(("weights", "biases"), layer, strict=True):
-            count = int(np.size(values) - np.isfinite(values).sum())
-            if count:
-                text = f"{count} of {np.size(values)} {name} are not finite"
-                raise InputError(text, source=source, field=f"layers[{k}]")
-
-
-def _checked_activation(name: str | None, layers: int, source: Any) -> str:
-    """Return the name of the activation; a single layer needs none."""
-    if name is None and layers == 1:
-        return _BEFORE
-    if name not in ACTIVATIONS:
-        text = "is not given" if name is None else f"{name!r} is unknown"
-        raise InputError(text, source=source, field="activation", choices=list(ACTIVATIONS))
-    return name
-
-
-def _sized(count: int) -> str:
-    fingers = _SIZES.get(count)
-    of = f" (of {fingers} finger{'s' if fingers > 1 else ''})" if fingers else ""
-    return f"{count} values{of}"

@@ -101,9 +101,13 @@ def policy_layers(path: str | Path) -> list[tuple[NDArray, NDArray]]:
         Weights (outputs, inputs) and biases (outputs,) of each layer, as they were saved.
 
     Raises:
-        InputError: The file is missing or broken.
+        InputError: The file is missing or broken, or the policy has a memory.
     """
-    layers = [(np.array(w), np.array(b)) for w, b in policy_file.load_policy(path).layers]
+    policy = policy_file.load_policy(path)
+    if policy.unit is not None:
+        text = "has a memory, which this learner does not have"
+        raise InputError(text, source=path, choices=["a policy without a RecurrentUnit"])
+    layers = [(np.array(w), np.array(b)) for w, b in policy.layers]
     if not layers:
         raise InputError("has no layers", source=path, choices=["FILE.npz"])
     w, b = layers[0]

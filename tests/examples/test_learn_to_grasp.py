@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mjtactile.core.errors import InputError
 from mjtactile.core.policy_file import load_policy
-from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN
+from mjtactile.gym.wrappers import MIDDLE, SCALE, SPAN, policy_layers
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -68,3 +69,17 @@ def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
     further, _ = example["learn"](1e-3, 2, "cpu", ["lift"], object="egg", path=path)
     for layer, saved in zip(*map(linear_layers, (further, actor)), strict=True):
         np.testing.assert_allclose(layer.weight.detach(), saved.weight.detach(), atol=1e-6)
+
+
+@pytest.mark.slow(60)
+def test_a_policy_with_a_memory_is_learned_from_the_adaptive_controller(tmp_path):
+    """A round in which the teacher acts, and one in which the policy does, of one episode each."""
+    pytest.importorskip("torch")
+    example = runpy.run_path(str(CHECKOUT / "examples/learn_from_adaptive.py"))
+    example["main"].__globals__.update(EPISODES=(1, 1), EPOCHS=1, TIME_LIMIT=3.0)
+    path = tmp_path / "policy.npz"
+    example["main"](str(path), "2")
+    unit = load_policy(path).unit
+    assert unit is not None and unit.inputs == 38
+    with pytest.raises(InputError, match="has a memory"):
+        policy_layers(path)
