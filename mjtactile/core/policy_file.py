@@ -85,7 +85,8 @@ class Policy:
         vector = recurrent_observation(observation)
         if len(vector) != self.unit.inputs:
             raise self._size_error(len(vector), self.unit.inputs, RECURRENT_SIZES)
-        features, kept = self.unit.after(vector, observation.command.memory.get(STATE))
+        before: Any = observation.command.memory.get(STATE)
+        features, kept = self.unit.after(vector, before)
         command = command_from_action(observation, self(features))
         return replace(command, memory={**command.memory, STATE: kept})
 

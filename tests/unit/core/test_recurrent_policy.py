@@ -18,7 +18,7 @@ from mjtactile.core.recurrent_policy import (
     recurrent_observation,
     recurrent_observation_names,
 )
-from mjtactile.core.types import Slip, TaskGoal
+from mjtactile.core.types import Slip, SlipState, TaskGoal
 from tests.unit.core.test_policy import seen
 
 N = 38  # entries of two fingers
@@ -33,7 +33,7 @@ UNIT = RecurrentUnit(
 LAYERS = [(RNG.normal(size=(5, UNITS + 2 * N)), np.ones(5)), (RNG.normal(size=(3, 5)), np.zeros(3))]
 
 
-def sliding(distance, state="slipping", **goal):
+def sliding(distance, state: SlipState = "slipping", **goal):
     """An observation in which the second finger slides."""
     observation = seen((0.3, 0.4))
     slip = Slip(state, np.zeros(2), distance, 0.0)

@@ -109,6 +109,7 @@ def test_a_saved_actor_acts_as_in_learning(tmp_path):
     actor = RecurrentActor(estimates=2)
     actor.save(tmp_path / "policy.npz")
     policy = load_policy(tmp_path / "policy.npz")
+    assert policy.unit is not None
     rng = np.random.default_rng(0)
     scale = np.where(np.isfinite(INPUT_SCALE), INPUT_SCALE, 1.0)[: len(NAMES)]
     vectors = rng.normal(size=(40, len(NAMES))) * scale
