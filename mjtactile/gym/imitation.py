@@ -17,6 +17,7 @@ from mjtactile.core.types import Array, Command, Observation
 from mjtactile.gym.wrappers import SCALE
 
 LOWERING_SPEED = 0.010  # m/s, where the teacher has detected the table already
+_INTEGRAL = "goal"  # of the jaws, in the memory of `adaptive`
 # These differ on a real servo: its current includes friction in its gears
 _OMITTED = ("speed_m_s", "effort_N")
 _SCALE = {"slip_distance_m": 2e-3, "push_N": 0.3, "acceleration_m_s2": 5.0}
@@ -64,6 +65,9 @@ def teacher_action(observation: Observation, teacher: Command) -> Array:
 def ask_teacher(teacher, observation: Observation, before: Command | None) -> Command:
     """Return the teacher's command, which continues its own phase and memory, not the policy's.
 
+    Its regulation starts from the opening that the policy commanded: the integral of an opening
+    that was never sent would dominate its actions.
+
     Args:
         teacher: Loaded controller.
         observation: Observation of the policy.
@@ -71,7 +75,8 @@ def ask_teacher(teacher, observation: Observation, before: Command | None) -> Co
     """
     own = observation.command
     if before is not None:
-        own = replace(own, phase=before.phase, memory=before.memory)
+        memory = {name: kept for name, kept in before.memory.items() if name != _INTEGRAL}
+        own = replace(own, phase=before.phase, memory=memory)
     return teacher.step(replace(observation, command=own))
 
 

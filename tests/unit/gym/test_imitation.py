@@ -58,7 +58,8 @@ def test_a_policy_that_is_down_opens_before_its_teacher():
 def test_the_teacher_continues_its_own_memory_from_the_policys_goals():
     class Teacher:
         def step(self, observation):
-            memory = {"count": observation.command.memory.get("count", 0) + 1}
+            assert "goal" not in observation.command.memory  # it starts from the sent opening
+            memory = {"count": observation.command.memory.get("count", 0) + 1, "goal": 0.03}
             return replace(observation.command, phase="hold", memory=memory)
 
     observation = at("lift", 0.02)
