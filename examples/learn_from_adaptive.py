@@ -1,6 +1,6 @@
 """Learn to grasp from the controller `adaptive`, by imitation: pip install 'mjtactile[learn]'
 
-    python examples/learn_from_adaptive.py policy.npz 6     # rounds
+    python examples/learn_from_adaptive.py policy.npz 10    # rounds
     MJTACTILE_POLICY=policy.npz mjtactile evaluate --controller policy --objects random
 
 The policy, a recurrent network, observes sensor data only. In the first round the teacher acts,
@@ -23,7 +23,7 @@ from mjtactile.gym.imitation import (
 from mjtactile.gym.recurrent_actor import RecurrentActor, fit
 
 TASKS = ("bump", "shake", "pour", "lift", "bump", "shake", "pour")
-EPISODES = (100, 70)  # of the first round, and of each further one
+EPISODES = (100, 24)  # of the first round, and of each further one
 EPOCHS = 12
 TIME_LIMIT = 40.0  # of an episode, s
 FIRST_SEED = 2_100_000  # other seeds than `evaluate`
@@ -65,7 +65,7 @@ def run_episode(teacher, task, seed, policy=None, mixed=False):
     return scaled_inputs(vectors), actions, estimates
 
 
-def main(path="policy.npz", rounds="6"):
+def main(path="policy.npz", rounds="10"):
     teacher = mjtactile.load_controller("adaptive")
     actor, episodes, policy = RecurrentActor(estimates=2, seed=0), [], None
     for turn in range(int(rounds)):
