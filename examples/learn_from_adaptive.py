@@ -10,6 +10,7 @@ command in the same states. Touch is synthetic (`-mesh,-pipeline`).
 
 import sys
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,11 @@ TURN = 1.5  # mean time for which the policy, the teacher or a disturbance acts,
 DISTURBANCE = (0.03, 0.0, 0.1)  # of the teacher's actions
 
 
+def load_of(command: Any):
+    """Return the load on a finger that the teacher has estimated, N."""
+    return max(command.memory["load"]["maximum"], 0.02)
+
+
 def run_episode(teacher, task, seed, policy=None, mixed=False):
     """Return scaled inputs, actions and estimates of the teacher in one episode. `mixed`: policy
     and teacher act by turns."""
@@ -47,8 +53,7 @@ def run_episode(teacher, task, seed, policy=None, mixed=False):
                 if command.phase == "abort" or "lost" in command.memory:
                     break
                 action = teacher_action(now, command)
-                memory = command.memory
-                estimates = np.log([memory["target"], max(memory["load"]["maximum"], 0.02)])
+                estimates = np.log([command.memory["target"], load_of(command)])
                 rows.append((recurrent_observation(now), action, estimates))
                 if rng.random() < session.rig.period / TURN:
                     acts ^= mixed
