@@ -5,6 +5,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from mjtactile.runtime.grasp import run_grasp
 from mjtactile.sim import ground_truth
 from tests.emulated_host import controller_text
 from tests.fake_run import write_fake_recording
+from tests.gripper_scenes import TWO_FINGERS
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
 LONGEST = 95  # lines of at most 100 columns: one screen, docstring included
@@ -97,6 +99,49 @@ def test_touch_in_dm_control(capsys):
     assert example.seen["touch/force_normal"] == pytest.approx(9.81 * 0.05, abs=0.025)
     assert example.seen["touch/force_normal"].shape == (1,)
     assert "estimated 0." in capsys.readouterr().out
+
+
+def modelled_after_a_2f85(path):
+    """Write a four-bar gripper with the names, directions and command range of a 2F-85."""
+    pad = '<body name="{0}_pad" pos="0.0096 0 0.00125" euler="0 0 -90"/></body>\n</body>'
+    xml = TWO_FINGERS.replace("<worldbody>", '<worldbody><frame pos="0 0 0.073">')
+    xml = xml.replace("</worldbody>", "</frame></worldbody>")
+    for side in ("right", "left"):
+        site = f'<site name="{side}s" pos="0 0 0.02" zaxis="-1 0 0"/>\n </body></body>'
+        assert site in xml
+        xml = xml.replace(site, pad.format(side))
+    actuator = '<position name="close" joint="rightdriver" kp="100" kv="2"/>'
+    assert actuator in xml
+    # 255: 0.39 rad
+    own = 'biastype="affine" gainprm="-0.152" biasprm="0 -100 -2"'
+    path.write_text(xml.replace(actuator, f'<general joint="rightdriver" {own}/>'))
+    return str(path)
+
+
+@pytest.mark.slow(20)
+def test_touch_on_hands(tmp_path):
+    """Estimates are within 3 %, or two standard deviations of an image; membranes within 5 %."""
+    example = run("touch_on_hands")
+    hand = partial(example.robotiq, modelled_after_a_2f85(tmp_path / "2f85.xml"))
+    true = []
+    for effects in ("auto", "-mesh"):
+        force, flags, _ = example.hold(hand, example.BALL, 126, effects)
+        np.testing.assert_allclose(force[:, 0], force[:, 1], rtol=0.03, atol=0.02)
+        assert not flags
+        true.append(force[:, 1])
+    assert np.min(true) > 0.5
+    np.testing.assert_allclose(true[1], true[0], rtol=0.05)
+
+
+@pytest.mark.slow(20)
+@pytest.mark.filterwarnings("ignore")  # the package's own
+def test_touch_on_a_shadow_hand():
+    """Thumb and index carry the ball; its weight is 0.49 N."""
+    example = run("touch_on_hands", "gymnasium_robotics")
+    force, flags, _ = example.hold(example.shadow, example.BALL, 0.9, "-mesh")
+    np.testing.assert_allclose(force[:, 0], force[:, 1], rtol=0.03, atol=0.03)
+    assert force.min() > 0.3
+    assert not flags
 
 
 def code_lines(name):
