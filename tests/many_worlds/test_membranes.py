@@ -85,9 +85,9 @@ def test_a_ball_and_a_box_press_as_on_the_cpu():
     assert pressure == pytest.approx(gauge, rel=1e-3)
 
 
-# The wall is over the nodes beyond the block's edges. It is out of reach at 4.5 mm, and carries a
-# part of the load at 0.3 mm.
-@pytest.mark.parametrize("gap", [0.3e-3, 4.5e-3])
+# The wall is over the nodes beyond the block's edges. It is out of reach at 1.2 and 4.5 mm, and
+# carries a part of the load at 0.3 mm.
+@pytest.mark.parametrize("gap", [0.3e-3, 1.2e-3, 4.5e-3])
 def test_a_block_in_front_of_a_wall_presses_as_on_the_cpu(gap):
     membranes = Membranes("dense", 1, slots=2, device="cpu", iteration=EXACT)
     membrane = membranes.membrane
