@@ -30,7 +30,8 @@ class TouchLift(Lift):
         for k, side in ((1, 1), (2, -1)):
             body = spec.body(f"gripper0_right_finger_joint{k}_tip")
             body.add_site(name=f"{k}", pos=[0, -0.011 * side, -0.015], quat=[1, side, 0, 0])
-        self.mounts = [mjtactile.attach(spec, "dense", site=k, prefix=f"tip{k}/") for k in "12"]
+        dense = {"sensor": "dense", "carrier_contact": False}  # the pads are in the chambers
+        self.mounts = [mjtactile.attach(spec, **dense, site=k, prefix=f"tip{k}/") for k in "12"]
         spec.compile()
         return spec.to_xml()
 
@@ -59,7 +60,5 @@ while lift < 0.1:
     grip = close * float(observation["force_normal"].mean() < 1.0)
     lift += 0.01 * (close - grip)
     observation, *_ = env.step([*np.clip(15 * way, -1, 1), 0, 0, 0, grip if close else -1])
-print(
-    f"estimated {observation['force_normal'].round(2)} N, "
-    f"the cube is at {observation['cube_pos'][2]:.3f} m"
-)
+height = observation["cube_pos"][2]
+print(f"estimated {observation['force_normal'].round(2)} N, the cube is at {height:.3f} m")
