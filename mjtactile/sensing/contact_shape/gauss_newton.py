@@ -215,16 +215,18 @@ def _limited_step(
 def step_limits(family: ShapeModel, theta: Array) -> Array:
     """Return the maximum step (k,) of each parameter."""
     fixed, curved, sized = _limits(family)
-    maximum = np.where(sized, _SIZE_STEP * theta, fixed)
-    maximum[curved] = _BEND_STEP * max(_FLAT, float(np.abs(theta[curved]).max(initial=0.0)))
+    maximum = fixed + _SIZE_STEP * theta * sized
+    if curved.size:
+        maximum[curved] = _BEND_STEP * max(_FLAT, *np.abs(theta[curved]).tolist())
     return maximum
 
 
 @cache
-def _limits(family: ShapeModel) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the fixed step limits (k,), and masks (k,) of the curvatures and the sizes."""
+def _limits(family: ShapeModel) -> tuple[Array, NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the fixed step limits (k,), the indices of the curvatures, and a mask (k,) of the
+    sizes."""
     fixed = np.array([_STRAIGHT.get(name.split("_")[0], 0.0) for name in family.names])
-    return fixed, family.curved, family.sized
+    return fixed, np.flatnonzero(family.curved), family.sized
 
 
 @dataclass(frozen=True)

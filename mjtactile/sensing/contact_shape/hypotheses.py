@@ -161,6 +161,12 @@ class PressHistory:
         minimum, maximum = self.loads
         return not minimum / _HELD_FORCE < force < maximum * _HELD_FORCE
 
+    @property
+    def behind(self) -> dict[str, float]:
+        """Log evidence of the models in this contact episode, behind the best."""
+        known = (*self.candidates, *self.dropped)
+        return {candidate.family.name: -candidate.behind for candidate in known}
+
     def near(self, families: Sequence[ShapeModel]) -> list[ShapeModel]:
         """Return those of `families` whose evidence is not far behind in this contact episode."""
         known = (*self.candidates, *self.dropped)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mjtactile.core.types import Array
+from mjtactile.core.types import SHAPES, Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.quasistatic.solution import AREA
 from mjtactile.sensing.contact_shape.amortized_start import Proposal
@@ -32,6 +32,7 @@ _ENOUGH = 0.9  # probability of the suggested models together
 _UNLIKELY = 8.0  # log probability behind the likeliest model where a model is not fitted
 _SURE = 0.003  # probability that a network does not exclude
 _ROUNDS = 8  # membrane solutions of a fit from a suggested start
+_EXPLAINED = 1.0  # misfit below which no further start of several contacts is fitted
 _FIRST_CURVATURE = 80.0  # 1/m
 _ORDER = {"ball": 0, "smooth": 1, "cylinder": 2}  # others later
 
@@ -70,12 +71,21 @@ class Suggestions:
     proposal: Proposal
     reference: InitialGuess
 
+    @property
+    def several(self) -> float:
+        """Probability of several contacts."""
+        return float(self.proposal.kinds[SHAPES.index("multiple")])
+
     def names(self, count: int) -> list[str]:
-        """Return the names of the likeliest shape models, at most `count`."""
+        """Return the names of the likeliest shape models, at most `count`; one if several contacts
+        are far more likely than all."""
         probabilities = self.proposal.probabilities[: len(FAMILIES)]
+        total = float(probabilities.sum())
         order = np.argsort(-probabilities, kind="stable")
-        fraction = np.cumsum(probabilities[order]) / probabilities.sum()
+        fraction = np.cumsum(probabilities[order]) / max(total, 1e-300)
         enough = int(np.searchsorted(fraction, _ENOUGH)) + 1
+        if total < _SURE * self.probability("multiple"):
+            enough = 1
         return [GROUPS[index] for index in order[: min(count, enough)]]
 
     def likely(self, logs: Mapping[str, float]) -> dict[str, float]:
@@ -161,8 +171,10 @@ def _best_start(
     minimum: float,
 ) -> Fit | None:
     """Fit a model from the start that explains the markers best after matching the force."""
-    reached = []
+    reached: list[tuple[Problem, FitState]] = []
     state = min(known, key=lambda one: one.chi2).state if known else near
+    minimum = min([minimum, *(one.chi2 for one in known)])
+    fits: list[Fit] = []
     for start in _starts(family, hint, known, _ContactRegion.of(forward, state)):
         problem = Problem(forward, family, hint, data, Prior.of(family, start))
         at = replace_shape(problem, start, state)
@@ -170,14 +182,15 @@ def _best_start(
             at = approach(problem, start)
         if at is not None:
             reached.append((problem, at))
-    if not reached:
-        return None
-    reached.sort(key=lambda one: one[1].cost)
-    if not family.parts:
-        del reached[1:]  # with several parts, different starts may converge to different fits
-    minimum = min([minimum, *(one.chi2 for one in known)])
-    fits = [refine(problem, at, known=minimum, noise=noise) for problem, at in reached]
-    return min(fits, key=lambda fit: fit.at.cost)
+        # with several parts, different starts may converge to different fits
+        if at is not None and family.parts:
+            fits.append(refine(problem, at, known=minimum, noise=noise))
+            if fits[-1].misfit < _EXPLAINED:
+                break
+    if reached and not family.parts:
+        problem, at = min(reached, key=lambda one: one[1].cost)
+        return refine(problem, at, known=minimum, noise=noise)
+    return min(fits, key=lambda fit: fit.at.cost, default=None)
 
 
 def _starts(

@@ -40,6 +40,7 @@ _SUGGESTED_AGAIN = 2  # models that the candidates of an evaluation must include
 _UNLIKELY = 3.0  # log evidence behind the best: 5 %
 _LIKELY_START = 0.1  # probability of a model whose fit is restarted from the suggested start
 _LIKELY_AGAIN = 0.4  # probability of a suggested model that was dropped, to try it again
+_CERTAIN = 0.99  # probability of several contacts, or of one, by the network
 _SINGLE = tuple(FAMILIES.values())
 
 
@@ -104,27 +105,21 @@ def _search_all(
     fitted again. Models far behind are skipped. Fits that explain no more than the rejected one are
     stopped.
     """
-    minimum = math.inf
-    if rejected is None:
-        fits = [] if suggest is None else _suggested_fits(forward, suggest(data), hint, data, s)
-        fits = fits or search(forward, _SINGLE, hint, data, s.noise_min)
-    else:
-        now = rejected.now
-        minimum = now.misfit
-        fitted = {candidate.family.name for candidate in rejected.candidates}
-        near = [family for family in rejected.near(_SINGLE) if family.name not in fitted]
-        if suggest is not None:
-            likely = suggest(data).likely(dict.fromkeys(FAMILIES, 0.0))
-            near = [family for family in near if family.name in likely]
-        fits = search(forward, near, hint, data, s.noise_min, now.state, now.chi2)
-    minimum = min([minimum, *(fit.misfit for fit in fits)])
-    if len(hint.parts) > 1 and minimum > s.misfit_one:
-        balls = several(["ball"] * len(hint.parts))
-        known = math.inf if rejected is None else rejected.now.chi2
-        both = search(forward, (balls,), hint, data, s.noise_min, known=known)
-        fits += both
-        if both and s.misfit_one < both[0].misfit < minimum:
-            fits += other_parts(forward, both[0], data, s)
+    suggestions = None if suggest is None else suggest(data)
+    together = None if suggestions is None else suggestions.several
+    fits: list[Fit] = []
+    if together is not None and together > _CERTAIN:
+        fits = _several_fits(forward, hint, data, s, rejected, math.inf)
+    if not any(fit.misfit < s.misfit_asks for fit in fits):
+        fits += _single_fits(forward, hint, data, s, rejected, suggestions)
+        minimum = min((fit.misfit for fit in fits), default=math.inf)
+        possible = together is None or 1 - _CERTAIN < together <= _CERTAIN
+        if possible or s.misfit_max < minimum < math.inf:
+            fits += _several_fits(forward, hint, data, s, rejected, minimum)
+    if rejected is not None:
+        minimum = min((fit.misfit for fit in fits), default=math.inf)
+        if minimum > rejected.now.misfit:
+            return None
     new = [
         Evaluation(fit, -_penalty(fit, s), ShapeFilter.of(fit.family, s.mesh_ratio), 1.0)
         for fit in fits
@@ -132,17 +127,53 @@ def _search_all(
     return weigh(forward, new, hint, data, s)
 
 
-def _suggested_fits(
+def _single_fits(
     forward: ForwardModel,
-    suggestions: Suggestions,
     hint: InitialGuess,
     data: Data,
     s: ContactShapeSettings,
+    rejected: PressHistory | None,
+    suggestions: Suggestions | None,
 ) -> list[Fit]:
-    """Fit the suggested models; empty: none explains the markers."""
-    fits = suggested(forward, suggestions, hint, data, s.noise_min, _SUGGESTED)
-    minimum = min((fit.misfit for fit in fits), default=math.inf)
-    return fits if minimum < s.misfit_asks or len(hint.parts) > 1 else []
+    """Fit the suggested models of one contact, or all if none of these explains the markers. With a
+    `rejected` shape, those that it has not excluded."""
+    if rejected is None:
+        if suggestions is None:
+            return search(forward, _SINGLE, hint, data, s.noise_min)
+        fits = suggested(forward, suggestions, hint, data, s.noise_min, _SUGGESTED)
+        minimum = min((fit.misfit for fit in fits), default=math.inf)
+        known = minimum < s.misfit_asks or len(hint.parts) > 1
+        return fits if fits and known else search(forward, _SINGLE, hint, data, s.noise_min)
+    now = rejected.now
+    fitted = {candidate.family.name for candidate in rejected.candidates}
+    near = [family for family in rejected.near(_SINGLE) if family.name not in fitted]
+    if suggestions is not None:
+        behind = rejected.behind
+        likely = suggestions.likely({name: behind.get(name, 0.0) for name in FAMILIES})
+        near = [family for family in near if family.name in likely]
+    return search(forward, near, hint, data, s.noise_min, now.state, now.chi2)
+
+
+def _several_fits(
+    forward: ForwardModel,
+    hint: InitialGuess,
+    data: Data,
+    s: ContactShapeSettings,
+    rejected: PressHistory | None,
+    minimum: float,
+) -> list[Fit]:
+    """Fit balls to several contacts, and other shapes if these do not explain the markers. Empty:
+    one shape explains them, with the misfit `minimum`."""
+    if rejected is not None:
+        minimum = min(minimum, rejected.now.misfit)
+    if len(hint.parts) < 2 or minimum <= s.misfit_one:
+        return []
+    balls = several(["ball"] * len(hint.parts))
+    known = math.inf if rejected is None else rejected.now.chi2
+    both = search(forward, (balls,), hint, data, s.noise_min, known=known)
+    if both and s.misfit_one < both[0].misfit < minimum:
+        both += other_parts(forward, both[0], data, s)
+    return both
 
 
 def _penalty(fit: Fit, s: ContactShapeSettings) -> float:

@@ -51,38 +51,37 @@ class ShapeFilter:
     def with_observation(self, fit: Fit) -> ShapeFilter:
         """Return the filter updated by one evaluation."""
         seen, information = _information_of(fit)
-        growth = self._growth(seen, information)
+        known = np.linalg.inv(self.precision + _UNSEEN * np.eye(len(information)))
+        growth = self._growth(known, seen, information)
         inflation = np.eye(len(information)) + seen @ _model_error_variance(fit, self.coarse)
-        seen = np.linalg.solve(inflation, seen)
-        information = np.linalg.solve(inflation, information)
+        inflated = np.linalg.solve(inflation, np.hstack([seen, information[:, None]]))
+        seen, information = inflated[:, :-1], inflated[:, -1]
         drift = self.drift + _heavy_tailed(
-            self._squared_distance(seen, information), len(information)
+            self._squared_distance(known, seen, information), len(information)
         )
         freedom = self.freedom + (len(information) if self.precision.any() else 0)
         precision = self.precision + seen
         total = self.information + information
         return ShapeFilter(precision, total, self.coarse, drift, freedom, growth)
 
-    def _growth(self, seen: Array, information: Array) -> tuple[float, float]:
+    def _growth(self, known: Array, seen: Array, information: Array) -> tuple[float, float]:
         """Return `growth` for an evaluation with precision `seen` (m, m) and information vector
-        `information` (m,)."""
+        `information` (m,). `known` (m, m) is the covariance before."""
         if not self.precision.any():
             return 0.0, math.inf
-        tiny = _UNSEEN * np.eye(len(information))
-        known, new = np.linalg.inv(self.precision + tiny), np.linalg.inv(seen + tiny)
+        new = np.linalg.inv(seen + _UNSEEN * np.eye(len(information)))
         before = np.maximum(known @ self.information, _UNSEEN)
         relative = (new @ information - before) / before
         side = int(relative.argmin())
         return float(relative[side]), float((known + new)[side, side] / before[side] ** 2)
 
-    def _squared_distance(self, seen: Array, information: Array) -> float:
+    def _squared_distance(self, known: Array, seen: Array, information: Array) -> float:
         """Return the squared Mahalanobis distance of an evaluation from the earlier ones. The
-        evaluation has precision `seen` (m, m) and information vector `information` (m,). Unobserved
-        directions do not count."""
+        evaluation has precision `seen` (m, m) and information vector `information` (m,). `known`
+        (m, m) is the covariance before. Unobserved directions do not count."""
         if not self.precision.any():
             return 0.0
         tiny = _UNSEEN * np.eye(len(information))
-        known = np.linalg.inv(self.precision + tiny)
         unexplained = information - seen @ known @ self.information
         # singular to rounding where one direction is known a million times better than another
         precision = np.linalg.pinv(seen + seen @ known @ seen + tiny, hermitian=True)
@@ -99,10 +98,11 @@ class ShapeFilter:
         scaled_mean = (family.mean / family.sd)[kept]
         known = np.linalg.inv(self.precision / noise + np.eye(len(scaled_mean)))
         mean[kept] = known @ (self.information / noise + scaled_mean)
-        stood = np.linalg.inv(fit.precision_with(noise))[np.ix_(free, free)]
+        blocks = family.blocks
+        stood = np.linalg.inv(fit.precision_with(noise))[blocks["ff"]]
         cov = np.zeros((len(mean), len(mean)))
-        cov[np.ix_(free, free)] = stood + np.diag((family.loose / family.sd)[free] ** 2)
-        cov[np.ix_(kept, kept)] = known + _model_error_variance(fit, self.coarse)
+        cov[blocks["ff"]] = stood + np.diag((family.loose / family.sd)[free] ** 2)
+        cov[blocks["kk"]] = known + _model_error_variance(fit, self.coarse)
         return Prior(mean, np.linalg.inv(cov))
 
 
@@ -130,13 +130,12 @@ def _information_of(fit: Fit) -> tuple[Array, Array]:
     image = fit.curvature / noise
     # that of the image alone: a fit may end before its prior and the image balance
     information = image @ t - fit.gradient / noise
-    stand = prior.precision[np.ix_(free, free)]
-    mean = np.linalg.solve(
-        image[np.ix_(free, free)] + stand,
-        np.column_stack([image[np.ix_(free, kept)], information[free] + stand @ prior.mean[free]]),
-    )
-    through = image[np.ix_(kept, free)] @ mean
-    return image[np.ix_(kept, kept)] - through[:, :-1], information[kept] - through[:, -1]
+    blocks = fit.family.blocks
+    stand = prior.precision[blocks["ff"]]
+    known = information[free] + stand @ prior.mean[free]
+    sides = np.hstack([image[blocks["fk"]], known[:, None]])
+    through = image[blocks["kf"]] @ np.linalg.solve(image[blocks["ff"]] + stand, sides)
+    return image[blocks["kk"]] - through[:, :-1], information[kept] - through[:, -1]
 
 
 def _model_error_variance(fit: Fit, coarse: float) -> Array:

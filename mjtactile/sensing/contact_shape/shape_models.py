@@ -109,6 +109,13 @@ class ShapeModel:
         return self.share > 0
 
     @cached_property
+    def blocks(self) -> dict[str, tuple[Array, ...]]:
+        """Indices of the blocks of a matrix (k, k): rows and columns of the constant ("k") or the
+        other ("f") parameters."""
+        lines = {"k": self.kept, "f": ~self.kept}
+        return {a + b: np.ix_(lines[a], lines[b]) for a in lines for b in lines}
+
+    @cached_property
     def curved(self) -> NDArray[np.bool_]:
         """Mask (k,) of the curvatures."""
         return np.array([name.startswith("k") for name in self.names])
