@@ -16,7 +16,8 @@ from mjtactile.sim.sensor.quasistatic_geoms import bulge_stiffness, membrane_of
 from mjtactile.warp.arrays import ints
 from mjtactile.warp.cut_cells import cut_cells
 from mjtactile.warp.device.equilibrium import solve_all
-from mjtactile.warp.device.fields import Fields, Gas, Scheme
+from mjtactile.warp.device.fields import Fields, Scheme
+from mjtactile.warp.device.gas import Gas
 from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.obstacles import Geom
 from mjtactile.warp.device.relaxation import MAX_NODES

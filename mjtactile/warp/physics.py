@@ -9,9 +9,10 @@ import numpy as np
 import warp as wp
 
 from mjtactile.core.types import Array
-from mjtactile.warp.device.fields import Fields, Gas
+from mjtactile.warp.device.fields import Fields
+from mjtactile.warp.device.gas import Gas, Heat
 from mjtactile.warp.device.sticking import Sticking
-from mjtactile.warp.device.update import Heat, States, update_all
+from mjtactile.warp.device.update import States, update_all
 from mjtactile.warp.membranes import Iteration, Membranes, new_scheme
 
 _STATE = {"fields": Fields, "gas": Gas, "heat": Heat, "states": States, "sticking": Sticking}

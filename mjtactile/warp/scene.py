@@ -24,7 +24,7 @@ from mjtactile.sim.sensor.feature_size import name_of
 from mjtactile.sim.sensor.membrane import BODY
 from mjtactile.sim.sensor.quasistatic_geoms import ContactGeoms
 from mjtactile.warp.device.obstacles import CONVEX, SPHERE, SUPPORTED
-from mjtactile.warp.device.update import SensorGeoms
+from mjtactile.warp.device.sensor_geoms import SensorGeoms
 from mjtactile.warp.membranes import Iteration, Membranes
 from mjtactile.warp.touch import Touch
 

@@ -12,10 +12,12 @@ import warp as wp
 from mjtactile.warp.arrays import floats, vectors
 from mjtactile.warp.contact_stiffness import ContactStiffness
 from mjtactile.warp.device.contact import Patch
-from mjtactile.warp.device.forces import Joints, Stiffness, add_forces
+from mjtactile.warp.device.forces import Contacts, add_forces
+from mjtactile.warp.device.gas import Heat
+from mjtactile.warp.device.joints import Joints, Motion
 from mjtactile.warp.device.markers import find_markers
 from mjtactile.warp.device.sticking import NodeLoads
-from mjtactile.warp.device.update import Heat, States, reset_worlds
+from mjtactile.warp.device.update import States, reset_worlds
 from mjtactile.warp.marker_positions import weights_of
 from mjtactile.warp.membranes import Membranes
 from mjtactile.warp.physics import Physics
@@ -60,7 +62,7 @@ class Touch:
         )
         fields, states = membranes.fields, self._physics.states
         self._joints = _joints(model, worlds)
-        self._stiffness = _stiffness(membranes)
+        self._contacts = _contacts(self._physics)
         self._contact_stiffness: ContactStiffness | None = None
         self._markers: Any = None
         shape = (worlds, self.fingers)
@@ -89,18 +91,10 @@ class Touch:
 
         `mujoco_warp.step` calls it.
         """
-        part, physics = self.membranes, self._physics
-        physics.update(m, d)
-        wp.launch(
-            add_forces,
-            dim=self.worlds,
-            inputs=[
-                *(part.rubber, part.gas, self._stiffness, part.fields, physics.sensor_geoms),
-                *(self._joints, physics.states.patches, m.opt.timestep),
-                *(d.xpos, d.xmat, d.xanchor, d.xaxis, d.qvel, physics.states.wrench),
-                *(physics.states.tension, d.qfrc_passive, d.sensordata),
-            ],
-        )
+        self._physics.update(m, d)
+        arrays = (m.opt.timestep, d.qfrc_passive, d.sensordata)
+        inputs = [self._contacts, self._joints, _motion(d), *arrays]
+        wp.launch(add_forces, dim=self.worlds, inputs=inputs)
 
     def markers(self) -> Any:
         """Compute the marker positions of the last step.
@@ -228,8 +222,24 @@ def _carried(model: mujoco.MjModel, body: int) -> int:
     return -1
 
 
-def _stiffness(membranes: Membranes) -> Any:
-    stiffness = Stiffness()
-    stiffness.half = math.sqrt(membranes.design.frame.area / math.pi)
-    stiffness.bulge = float(membranes.scheme.bulge)
-    return stiffness
+def _contacts(physics: Physics) -> Any:
+    membranes, states = physics.membranes, physics.states
+    contacts = Contacts()
+    contacts.geoms, contacts.fields, contacts.gas = (
+        physics.sensor_geoms,
+        physics.fields,
+        physics.gas,
+    )
+    contacts.patches, contacts.wrench = states.patches, states.wrench
+    contacts.tension = states.tension
+    contacts.half = math.sqrt(membranes.design.frame.area / math.pi)
+    contacts.bulge = float(membranes.scheme.bulge)
+    contacts.spacing = float(min(membranes.rubber.dx, membranes.rubber.dy))
+    return contacts
+
+
+def _motion(d: Any) -> Any:
+    motion = Motion()
+    for name in Motion.vars:
+        setattr(motion, name, getattr(d, name))
+    return motion

@@ -11,7 +11,8 @@ import warp as wp
 
 from mjtactile.warp.device.assembly import evaluate, prepare_heights, prepare_plane
 from mjtactile.warp.device.edges import find_springs
-from mjtactile.warp.device.fields import Fields, Gas, Scheme
+from mjtactile.warp.device.fields import Fields, Scheme
+from mjtactile.warp.device.gas import Gas
 from mjtactile.warp.device.grid import MembraneGrid
 from mjtactile.warp.device.lowest_obstacle import has_thin_obstacle
 from mjtactile.warp.device.obstacles import Geom, is_on

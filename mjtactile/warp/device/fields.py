@@ -1,4 +1,4 @@
-"""Values that the kernels of membranes share: iteration, state and workspace, gas."""
+"""Values that the kernels of membranes share: iteration, state and workspace."""
 
 from __future__ import annotations
 
@@ -51,14 +51,3 @@ class Fields:
     iterations: wp.array(dtype=int)
     lost: wp.array(dtype=int)
     gain: wp.array(dtype=float)
-
-
-@wp.struct
-class Gas:
-    """Gas of all membranes: p V^gamma, or the gauge pressure, Pa, where not sealed; flat volume."""
-
-    amount: wp.array(dtype=float)
-    sealed: wp.array(dtype=int)
-    flat: float
-    ambient: float
-    exponent: float
