@@ -155,7 +155,7 @@ def _damp_held(
     step: float,
     out: wp.array2d(dtype=float),
 ) -> None:
-    """Damp a free body by the stiffness of all its contacts, the first of which is `first`.
+    """Damp a free body by the stiffness of its contacts. `first` is the first of them.
 
     Damping is relative to the mean motion that its contacts measured in the last step.
     """
