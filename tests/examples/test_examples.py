@@ -81,13 +81,13 @@ def test_arm_follows_touch(capsys):
 @pytest.mark.filterwarnings("ignore")  # robosuite's own
 def test_touch_in_robosuite(capsys):
     example = run("touch_in_robosuite", "robosuite")
-    estimated = example.seen["force_normal"]
+    estimated = example.observation["force_normal"]
     true = [-finger.ground_truth_wrench()[2] for finger in example.env.fingers]
     assert np.min(estimated) > 0.8  # the gripper closes until the mean estimate is 1 N
     # an image is up to 33 ms old and the arm moves up: the mean of both fingers changes least
     assert np.mean(estimated) == pytest.approx(np.mean(true), rel=0.1)
     # `Lift` counts 40 mm over the table as lifted; the table is at 0.8 m, the cube's middle at 0.82
-    assert example.seen["cube_pos"][2] > 0.86
+    assert example.observation["cube_pos"][2] > 0.86
     assert example.env._check_success()
     assert "estimated" in capsys.readouterr().out
 
@@ -96,8 +96,8 @@ def test_touch_in_robosuite(capsys):
 def test_touch_in_dm_control(capsys):
     example = run("touch_in_dm_control", "dm_control")
     # at equilibrium the membrane carries the weight; image noise is 8 mN
-    assert example.seen["touch/force_normal"] == pytest.approx(9.81 * 0.05, abs=0.025)
-    assert example.seen["touch/force_normal"].shape == (1,)
+    assert example.observation["touch/force_normal"] == pytest.approx(9.81 * 0.05, abs=0.025)
+    assert example.observation["touch/force_normal"].shape == (1,)
     assert "estimated 0." in capsys.readouterr().out
 
 
