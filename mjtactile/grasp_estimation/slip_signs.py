@@ -193,6 +193,8 @@ class SlipSigns:
         """Return the attributes after an image `period` s later, with these signs."""
         follow = min(1.0, period / _ANSWER_TIME) if self.press else 1.0
         held = 0.0 if is_test else self.held * math.exp(-period / _HELD_TIME)
+        # one image without the speed of a slip is no stop
+        resumes = self.strongest == MOVES and self.slip != MOVES
         if signs.slip == NONE and self.press and not is_test:
             held = max(held, self.drag / self.press)
         return {
@@ -205,7 +207,7 @@ class SlipSigns:
             "ages": signs.ages,
             "held": held,
             "speed": signs.speed,
-            "acceleration": max(signs.speed - self.speed, 0.0) / period,
+            "acceleration": 0.0 if resumes else max(signs.speed - self.speed, 0.0) / period,
             "forces": _mixed(self.forces, signs.forces, follow),
             "spread": self._spread_after(signs.transfer, period),
         }

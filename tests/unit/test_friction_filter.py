@@ -297,3 +297,15 @@ def test_a_surface_that_closing_jaws_drag_along_is_no_slip(growth, is_slip):
     firmer = updated(steady, touches(0.2, 0.65, "slipping", growth))
     assert firmer.grows == is_slip
     assert updated(steady, touches(0.2, 0.5, "slipping", growth)).grows
+
+
+def test_an_image_without_a_speed_is_no_stop_of_a_slip():
+    """The slip goes on at a constant speed; only its start is an acceleration."""
+    friction = updated(FrictionFilter(), touches(0.2, 0.5), 30)
+    distances = (1e-3, 2e-3, 3e-3, 3e-3, 4e-3)
+    accelerations = []
+    for distance in distances:
+        friction = updated(friction, touches(0.2, 0.5, "slipping", distance))
+        accelerations.append(friction.acceleration)
+    assert accelerations[0] > 0
+    assert max(accelerations[1:]) == pytest.approx(0.0, abs=1e-9)
