@@ -1,7 +1,7 @@
 """Fingertips of a Robotiq 2F-85 or of a Shadow Hand grip an object in the air; then it weighs.
 
-The 2F-85 is that of MuJoCo Menagerie (clone its repository, or `pip install mujoco-menagerie`), the
-Shadow Hand that of gymnasium-robotics (`pip install 'mjtactile[examples]'`):
+The 2F-85 is that of MuJoCo Menagerie (clone its repository), the Shadow Hand that of
+gymnasium-robotics (`pip install 'mjtactile[examples]'`):
 
     python examples/touch_on_hands.py mujoco_menagerie/robotiq_2f85/2f85.xml
     python examples/touch_on_hands.py shadow

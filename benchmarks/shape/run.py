@@ -38,6 +38,7 @@ MESH = (33, 25)
 _DEPTHS = np.array([0.4, 0.8, 1.2, 1.7, 2.3, 3.0]) * 1e-3
 _FORCE_MIN, _MAX_FORCE = 0.06, 1.5  # range of evaluated forces, N
 _HELD = 4  # images of the hold
+_PERIOD = 1 / 30  # time between them, s
 _DRAG = 1e-3  # maximum drag displacement, m
 _DRAGGED = (0.5, 1.0)  # evaluated fractions of the drag
 
@@ -106,6 +107,7 @@ def _stages(world: PressWorld, drag: float) -> Iterator[str]:
         reached = float(depth)
         yield "press"
     for _ in range(_HELD):
+        world.step(round(_PERIOD / world.timestep))
         yield "hold"
     for fraction in _DRAGGED:
         world.press(reached, fraction * drag)
