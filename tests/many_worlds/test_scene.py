@@ -95,6 +95,36 @@ def test_a_box_rests_by_its_weight_and_worlds_differ_only_in_their_parameters():
     assert touch.pressure.numpy()[1, 0] == before
 
 
+@pytest.mark.parametrize(
+    "floor",
+    [
+        '<geom type="plane" size="1 1 0.1" pos="0.3 0.2 0"/>',
+        '<geom type="box" size="0.5 0.4 0.02" pos="0.2 0.1 -0.02"/>',
+    ],
+    ids=["floor", "table"],
+)
+def test_a_floor_behind_a_tilted_sensor_does_not_touch_it(floor):
+    """The sensor faces sideways, its housing 1 mm above the floor, which is behind the membrane.
+
+    The floor's bounding box, as seen from the sensor, is in front, too.
+    """
+    design, tilt = mjtactile.load_sensor("dense"), np.radians(89.0)
+    half = design.frame.length / 2 + design.frame.rim
+    height = half * np.sin(tilt) + design.camera.distance * np.cos(tilt) + 1e-3
+    spec = mujoco.MjSpec.from_string(f"""<mujoco><compiler angle="radian"/><worldbody>{floor}
+      <body pos="0 0 {height}" euler="0 {tilt} 0"><joint type="slide" axis="0 1 0"/>
+       <site name="tip"/></body></worldbody></mujoco>""")
+    mjtactile.configure_options(spec, STEP)
+    tip = mjtactile.attach(spec, "dense", site="tip", prefix="tip/", effects="-mesh")
+    model = spec.compile()
+    model.opt.disableflags = 0
+    m, d, touch = worlds_of(model, tip, 1)
+    for _ in range(3):
+        mjw.step(m, d)
+    assert not touch.wrench.numpy().any()
+    assert touch.status.numpy().max() == 0
+
+
 def compare_with_cpu(forces, height):
     """Compare forces, N, and final height, m, with MuJoCo."""
     model, tip = scene(**BOX)
