@@ -189,6 +189,7 @@ FINGER = """<body name="palm" pos="0 0 -0.1">{palm}<body name="proximal"><joint 
   <site name="s"/></body></body></body>"""
 TAB = '<geom name="tab" size="0.004" pos="0.014 0 0.1"/>'
 EXCLUDED = '<exclude body1="palm" body2="distal"/>'
+EXCLUDED_FINGERS = '<exclude body1="thumb" body2="index"/>'
 
 
 @pytest.mark.parametrize("effects", ["auto", QUASISTATIC], ids=["mesh", "quasi-static"])
@@ -204,6 +205,20 @@ def test_the_links_next_to_the_sensor_are_not_estimated(palm, proximal, contact,
     names = {world.model.geom(geom).name for pair in world.data.contact.geom for geom in pair}
     assert "tab" not in names
     assert "rim_contact" not in world.flags and "quasistatic" not in world.flags
+
+
+INDEX_AND_THUMB = """<body name="palm" pos="0 0 -0.1"><body name="index" pos="0 0 0.1"><joint
+ type="hinge" axis="0 1 0" stiffness="1000" damping="1"/><geom size="0.005" mass="0.05"
+ pos="0 0 -0.05"/><site name="s"/></body><body name="thumb" pos="0 0 0.1125"><joint type="slide"
+ axis="0 0 1" damping="1"/><geom size="0.008" mass="0.03"/></body></body>"""
+
+
+@pytest.mark.parametrize("effects", ["auto", QUASISTATIC], ids=["mesh", "quasi-static"])
+def test_another_finger_with_an_exclude_presses_the_sensor(effects):
+    """The thumb rests on the index by its weight. Robots exclude contacts of their pads."""
+    world = scene("", effects, carrier=INDEX_AND_THUMB, contact=EXCLUDED_FINGERS)
+    world.step(600)
+    assert ground_truth.contact_force(world, 0)[2] == pytest.approx(-0.03 * G, abs=1e-3)
 
 
 def gripped(directions, radius, gap, effects, mesh=None):

@@ -18,9 +18,10 @@ from mjtactile.sim.sensor.feature_size import weld_bodies
 def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
     """Return the MuJoCo bodies (n,) whose contacts with the sensor's `body` do not count.
 
-    A joint carries the sensor's link on theirs, as in MuJoCo's parent-child filter, or an
-    `<exclude>` names both, for bodies of the same robot. Links that the sensor's link carries do
-    count: a press moves its indenter relative to the sensor.
+    A joint carries the sensor's link on theirs, as in MuJoCo's parent-child filter, or they carry
+    it by several joints and an `<exclude>` names both. Links that the sensor's link carries do
+    count: a press moves its indenter relative to the sensor. Other fingers count, too: robots
+    exclude them since their pads overlap when the gripper is closed.
     """
     welds = weld_bodies(model)
     link = welds[body]
@@ -31,9 +32,20 @@ def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
     neighbors = (fixed == above) & (above != 0)
     signatures = np.asarray(model.exclude_signature, np.int64)
     pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)
-    named = pairs[(welds[pairs] == link).any(axis=1)]
-    robot = model.body_rootid[named] == model.body_rootid[body]
-    return np.union1d(np.flatnonzero(neighbors), named[robot & (welds[named] != link)])
+    named = np.unique(pairs[(welds[pairs] == link).any(axis=1)])
+    carrying = [each for each in named if welds[each] != link and _carries(model, each, body)]
+    return np.union1d(np.flatnonzero(neighbors), np.array(carrying, np.int64))
+
+
+def _carries(model: mujoco.MjModel, part: int, body: int) -> bool:
+    """Return True if `body` is below `part`, or below a body that `part` is fixed to."""
+    above = set()
+    while body:
+        body = int(model.body_parentid[body])
+        above.add(body)
+    while part and part not in above and not model.body_jntnum[part]:
+        part = int(model.body_parentid[part])
+    return part != 0 and part in above
 
 
 def exclude_own_links(
@@ -52,9 +64,9 @@ def exclude_own_links(
     above = _moving(link.parent)
     fixed = [] if above.parent is None else _fixed_to(above)
     mine = {body.name for body in _fixed_to(link)} - {""}
-    robot = {body.name for body in _branch(_root(link))}
+    carrying = {part.name for each in _above(link) for part in _fixed_to(each)}
     pairs = [{pair.bodyname1, pair.bodyname2} for pair in spec.excludes]
-    named = set().union(*(pair - mine for pair in pairs if pair & mine)) & robot
+    named = set().union(*(pair - mine for pair in pairs if pair & mine)) & carrying
     for number, body in enumerate(fixed):
         body.name = body.name or f"{vertices[0]}_link{number}"
     for other in {body.name for body in fixed} | named:
@@ -69,18 +81,12 @@ def _moving(body: mujoco.MjsBody) -> mujoco.MjsBody:
     return body
 
 
-def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
-    """Return the ancestor of `body` that is a child of the world."""
-    while body.parent is not None and body.parent.parent is not None:
-        body = body.parent
-    return body
+def _above(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """Return the bodies that carry `body`, without the world."""
+    parent = body.parent
+    return [] if parent is None or parent.parent is None else [parent, *_above(parent)]
 
 
 def _fixed_to(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
     """Return `body` and the bodies below it that no joint moves relative to it."""
     return [body, *(b for child in body.bodies if not list(child.joints) for b in _fixed_to(child))]
-
-
-def _branch(body: mujoco.MjsBody) -> list[mujoco.MjsBody]:
-    """Return `body` and all bodies below it."""
-    return [body, *(each for child in body.bodies for each in _branch(child))]
