@@ -13,7 +13,7 @@
 #define LEAN_OVER 0.3      /* distance for the inclination of a thin obstacle, spacings */
 #define HALF_A_CELL 0.55    /* limit of half a cell, spacings: nodes have moved apart */
 #define NEAREST_EDGE 0.95   /* maximum distance of an edge from its node, spacings */
-#define BEHIND 0.25         /* height of another obstacle above a face, spacings, from which on the face ends */
+#define BEHIND 0.35         /* height of another obstacle above a face, spacings, from which on the face ends */
 #define SAME 1e-9           /* tolerance for equal heights, m */
 #define STRAIGHT 1e-12      /* tolerance for three points on a line, m */
 /* height difference above which the lowest point is certainly at the end, m */

@@ -18,17 +18,20 @@ from mjtactile.sim.sensor.feature_size import weld_bodies
 def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
     """Return the MuJoCo bodies (n,) whose contacts with the sensor's `body` do not count.
 
-    A joint carries the sensor's link on theirs, as in MuJoCo's parent-child filter, or they carry
-    it by several joints and an `<exclude>` names both. Links that the sensor's link carries do
-    count: a press moves its indenter relative to the sensor. Other fingers count, too: robots
-    exclude them since their pads overlap when the gripper is closed.
+    The sensor's link turns on theirs, as in MuJoCo's parent-child filter, or they carry it by
+    other joints and an `<exclude>` names both. A palm on which the link slides counts: the sensor
+    moves into it. Links that the sensor's link carries do count: a press moves its indenter
+    relative to the sensor. Other fingers count, too: robots exclude them since their pads overlap
+    when the gripper is closed.
     """
     welds = weld_bodies(model)
     link = welds[body]
     # as MuJoCo's filter: mocap bodies are fixed to the world, which is no link
     fixed = np.asarray(model.body_weldid)
     link_body = fixed[body]
-    above = fixed[model.body_parentid[link_body]] if link_body else 0
+    joints = model.jnt_type[model.jnt_bodyid == link_body]
+    turns = bool((joints != int(mujoco.mjtJoint.mjJNT_SLIDE)).any())
+    above = fixed[model.body_parentid[link_body]] if link_body and turns else 0
     neighbors = (fixed == above) & (above != 0)
     signatures = np.asarray(model.exclude_signature, np.int64)
     pairs = np.stack([signatures >> 16, signatures & 0xFFFF], axis=1)
@@ -62,7 +65,8 @@ def exclude_own_links(
     if link.parent is None:
         return
     above = _moving(link.parent)
-    fixed = [] if above.parent is None else _fixed_to(above)
+    turns = any(joint.type != mujoco.mjtJoint.mjJNT_SLIDE for joint in link.joints)
+    fixed = _fixed_to(above) if turns and above.parent is not None else []
     mine = {body.name for body in _fixed_to(link)} - {""}
     carrying = {part.name for each in _above(link) for part in _fixed_to(each)}
     pairs = [{pair.bodyname1, pair.bodyname2} for pair in spec.excludes]

@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False})
 _HALVINGS = wp.constant(12)  # halvings of a spacing in the search for an edge
 _NEAREST_EDGE = wp.constant(0.95)
 # height of another obstacle above a face, spacings, from which on the face ends
-_BEHIND = wp.constant(0.25)
+_BEHIND = wp.constant(0.35)
 
 
 @wp.func
