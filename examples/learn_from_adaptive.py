@@ -78,6 +78,7 @@ def main(path="policy.npz", rounds="10"):
             seed = FIRST_SEED + len(episodes)
             task = TASKS[seed % len(TASKS)]
             episodes.append(run_episode(teacher, task, seed, policy, mixed=seed % 3 == 0))
+            print(f"{len(episodes)} episodes", end="\r", flush=True)
         print(f"{len(episodes)} episodes; loss {fit(actor, episodes, EPOCHS):.4f}", flush=True)
         actor.save(path)
         policy = mjtactile.load_policy(path)

@@ -57,6 +57,7 @@ def _transposed_hint(is_turned: bool) -> str:
 
 
 def check_finite(layers: Layers, source: Any) -> None:
+    """Check that all weights and biases are finite."""
     for k, layer in enumerate(layers):
         for name, values in zip(("weights", "biases"), layer, strict=True):
             count = int(np.size(values) - np.isfinite(values).sum())
@@ -76,6 +77,7 @@ def checked_activation(name: str | None, layers: int, source: Any) -> str:
 
 
 def sized(count: int, sizes: Mapping[int, int]) -> str:
+    """Describe a length of a vector, with the number of fingers in `sizes`."""
     fingers = sizes.get(count)
     of = f" (of {fingers} finger{'s' if fingers > 1 else ''})" if fingers else ""
     return f"{count} values{of}"

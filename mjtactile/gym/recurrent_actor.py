@@ -105,7 +105,7 @@ def imitation_loss(actor: RecurrentActor, episodes: Sequence[tuple[Array, Array,
     valid = (torch.arange(inputs.shape[1]) < lengths[:, None]).float()
     weight = (valid / valid.sum())[..., None]
     found, found_estimates = actor(inputs)
-    wanted = torch.asinh(actions / torch.tensor(ACTION_SCALE) / _LOSS_SCALE)
-    error = (torch.asinh(found / _LOSS_SCALE) - wanted) ** 2 * _LOSS_WEIGHT
+    target = torch.asinh(actions / torch.tensor(ACTION_SCALE) / _LOSS_SCALE)
+    error = (torch.asinh(found / _LOSS_SCALE) - target) ** 2 * _LOSS_WEIGHT
     error_estimates = (found_estimates - estimates) ** 2
     return (error * weight).sum() + _ESTIMATES_WEIGHT * (error_estimates * weight).sum()

@@ -71,7 +71,7 @@ class Fit:
     slopes: Jacobian
     force: float
     shared: dict[str, Any] = field(default_factory=dict, repr=False)
-    _covs: dict[float, tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _covs: dict[tuple[float, bool], tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, problem: Problem, at: FitState, slopes: Jacobian) -> Fit:
@@ -134,21 +134,21 @@ class Fit:
         """Return the covariance (k, k) of the parameters."""
         return self._covs_with(noise)[1]
 
-    def _covs_with(self, noise: float) -> tuple[Array, Array]:
+    def _covs_with(self, noise: float, *, alone: bool = False) -> tuple[Array, Array]:
         """Return the covariances (k, k) of the scaled parameters and of the parameters. They are
-        needed several times. A negative `noise` stands for this image alone."""
-        if noise not in self._covs:
+        needed several times. `alone`: without the information of earlier images."""
+        key = (noise, alone)
+        if key not in self._covs:
             sd = self.family.sd
-            alone = noise < 0
-            precision = self.curvature / -noise + np.eye(len(sd)) if alone else None
-            scaled = np.linalg.inv(self.precision_with(noise) if precision is None else precision)
-            self._covs[noise] = (scaled, sd[:, None] * scaled * sd)
-        return self._covs[noise]
+            own = self.curvature / noise + np.eye(len(sd)) if alone else self.precision_with(noise)
+            scaled = np.linalg.inv(own)
+            self._covs[key] = (scaled, sd[:, None] * scaled * sd)
+        return self._covs[key]
 
     def image_cov_with(self, noise: float) -> Array:
         """Return the covariance (k, k) of the parameters from this image alone, with the prior
         before any image."""
-        return self._covs_with(-noise)[1]
+        return self._covs_with(noise, alone=True)[1]
 
     def sums_cov_with(self, noise: float) -> Array:
         """Return the covariance (8, 8) of the membrane sums due to the parameters alone."""
