@@ -23,7 +23,7 @@ from mjtactile.runtime.cycle import WAIT_TIME, ControlCycle, Cycle
 from mjtactile.runtime.perception_processes import PerceptionPool
 from mjtactile.runtime.perception_threads import Perceiver, Perceivers
 from mjtactile.runtime.retreat import may_hold
-from mjtactile.runtime.set_down import ENDS, HEIGHT_TOLERANCE
+from mjtactile.runtime.set_down import ENDS, RELEASE_HEIGHT
 from mjtactile.runtime.supervisor import Supervisor
 
 # 0.2 s of 0.25 s, so that the devices never treat the loop as stopped
@@ -137,7 +137,7 @@ def _has_landed(cycle: ControlCycle) -> bool:
     if command.phase not in ENDS or cycle.supervisor.state == "safe":
         return False
     is_up = cycle.gripper.lift_height > command.lift_height + _IN_THE_AIR
-    if command.lift_height < HEIGHT_TOLERANCE and not is_up:
+    if command.lift_height <= RELEASE_HEIGHT and not is_up:
         return True
     is_placed = cycle.rig.goal.place_height > 0 or (cycle.set_down.stood and not is_up)
     if is_placed and not any(map(may_hold, cycle.touch)):

@@ -27,7 +27,7 @@ from mjtactile.runtime.failure_causes import actuator_limit, failure_causes
 from mjtactile.runtime.held_contact import HeldContacts
 from mjtactile.runtime.retreat import may_hold
 from mjtactile.runtime.session import Session, open_session
-from mjtactile.runtime.set_down import HEIGHT_TOLERANCE, SafeSetDown, SetDown
+from mjtactile.runtime.set_down import RELEASE_HEIGHT, SafeSetDown, SetDown
 
 
 @dataclass(frozen=True)
@@ -334,7 +334,7 @@ def _run(
 
 def _outcome_if_raised(cycle: Cycle) -> str:
     """Return the outcome if the controller ended with the gripper raised, or ""."""
-    if cycle.sent.lift_height < HEIGHT_TOLERANCE:
+    if cycle.sent.lift_height <= RELEASE_HEIGHT:
         return ""
     return "not set down" if any(map(may_hold, cycle.touch)) else "dropped"
 

@@ -1,8 +1,8 @@
 """Set-down of a held object, from touch alone: one rule for control loop and scoring.
 
 An object is set down if it stands when the fingers open: the table carries more than half of the
-load that hung on the fingers (`mjtactile.grasp_estimation.stands`), or the gripper is at the height
-of the place.
+load that hung on the fingers (`mjtactile.grasp_estimation.stands`), or the gripper is at most
+`RELEASE_HEIGHT` above the place.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mjtactile.core.policy import DOWN
 from mjtactile.core.types import Array, Command, Touch
 from mjtactile.grasp_estimation import shear, stands, support_force
 
 ENDS = ("done", "abort")  # phases
 HEIGHT_TOLERANCE = 2e-4  # tolerance of a lowered gripper, m: a servo's goal is rounded to 0.1 mm
+RELEASE_HEIGHT = DOWN  # maximum height at which a released object is set down, not dropped, m
 _TABLE_FORCE = 0.3  # minimum support per finger, N; a nudge on the way down is less
 _FOLLOWS = 0.2  # weight of a new shear sample in the low-pass filter of the load
 _UP = 2e-3  # minimum gripper height for a suspended load, m
@@ -57,8 +59,8 @@ class SuspendedLoad:
 
     def is_on_table(self, touch: Sequence[Touch], height: float) -> bool:
         """Return True if the table carries more than half of the load, or the remaining `height`,
-        m, is at most the slip distance."""
-        if height <= max(self._slid, HEIGHT_TOLERANCE):
+        m, is at most the slip distance or `RELEASE_HEIGHT`."""
+        if height <= max(self._slid, RELEASE_HEIGHT):
             return True
         if self._shear is None:
             return False
