@@ -36,9 +36,9 @@ class WorldProcess:
         )
         os.close(descriptor)
         try:
-            self.cameras: dict[str, str] = process.ask(
-                self._process, options, "the emulated world"
-            )["cameras"]
+            answer = process.ask(self._process, options, "the emulated world")
+            self.cameras: dict[str, str] = answer["cameras"]
+            self.simulated: dict[str, Any] = answer["simulated"]
         except BaseException:
             self.close()
             raise
@@ -70,6 +70,7 @@ class Emulator:
             "servo": self._hardware.bus.path,
             "valve": valve.path if valve else None,
             "cameras": self._world.cameras,
+            "simulated": self._world.simulated,
         }
 
     def handle(self, request: dict[str, Any]) -> dict[str, Any]:

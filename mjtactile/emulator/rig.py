@@ -29,7 +29,7 @@ def build_emulated_rig(
     rig = build_device_rig(
         process.connect(rig_file), design, name=rig_file.name, also_close=also_close
     )
-    return replace(rig, truth=process.truth)
+    return replace(rig, truth=process.truth, simulated=process.endpoints["simulated"])
 
 
 def build(request: RigRequest) -> Rig:

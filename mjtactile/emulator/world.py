@@ -62,11 +62,13 @@ class EmulatedWorld:
                 for finger in file.fingers
             ),
         )
-        self.scene = build_sim_rig(
+        rig = build_sim_rig(
             Scenario(object=options.object_name, sensor=options.design, seed=options.seed),
             file=file,
             sampled=SampledWorld(as_built=emulator.as_built),
-        ).scene
+        )
+        self.scene = rig.scene
+        self.simulated = rig.simulated
         self._shared = shared
         self._travel = options.rig_file.lift.travel
         self._cameras = Cameras(options, shared)
@@ -294,7 +296,7 @@ def main(descriptor: int) -> int:
         return error.exit_code
     world.start()
     cameras = {name: world.streams.url(name) for name in world.streams.names}
-    print(json.dumps({"cameras": cameras}), flush=True)
+    print(json.dumps({"cameras": cameras, "simulated": world.simulated}), flush=True)
     sys.stdin.read()
     world.close()
     shared.close()

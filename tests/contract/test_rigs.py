@@ -35,6 +35,7 @@ from mjtactile.runtime.grasp import run_grasp
 from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.pipeline import SensingPipeline
+from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
 
 CYCLES = 12
@@ -356,6 +357,27 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     truth = emulator.truth()
     assert not any(truth["torque"].values())
     assert set(truth["valve"].values()) == {"vent"}
+
+
+@pytest.mark.clock
+@ONE_EMULATOR
+def test_an_emulated_membrane_is_known_to_be_a_mesh(emulator):
+    """The errors of its contact shapes are those of a simulated mesh, not of rubber: on 13 x 11
+    vertices an egg was reported as flat, with 100 %."""
+    rig = build_emulated_rig(
+        patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
+    )
+    try:
+        session = Session(rig)
+        ratios = [
+            one.pipeline.settings.contact_shape.mesh_ratio
+            for one in session.perceptions
+            if isinstance(one, StatefulPipeline)
+        ]
+    finally:
+        rig.close()
+    # 40 x 30 mm in 12 x 10 cells; intervals are calibrated at a spacing of 1.25 mm
+    assert ratios == pytest.approx([math.sqrt(40 / 12 * 30 / 10) / 1.25] * 2)
 
 
 @pytest.mark.clock
