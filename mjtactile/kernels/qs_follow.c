@@ -12,6 +12,9 @@
 /* obstacle motion up to which the last solution is kept, m; in between, the membrane is a linear
    spring */
 #define CLOSE 8e-6
+/* the same with several bodies in contact: side by side they take over each other's load, which a spring
+   of each body does not include */
+#define CLOSE_TOGETHER 1e-7
 #define LEVER 0.01      /* lever arm that converts a rotation into a distance, m */
 
 /* Return the grid without padding: Python's fields have nodes only. */
@@ -79,7 +82,7 @@ int64_t qs_follow(const double *numbers, const double *law, int64_t columns, int
         }
         if (p->known) motion(p->R_rest, p->p_rest, R_SB, p_SB, p->touching ? p->middle : origin, since);
         const double way = fabs(since[0]) + fabs(since[1]) + fabs(since[2]) + LEVER * (fabs(since[3]) + fabs(since[4]) + fabs(since[5]));
-        still &= p->near && p->known && way < CLOSE;
+        still &= p->near && p->known && way < (m->touching > 1 ? CLOSE_TOGETHER : CLOSE);
         further[k] = since[2];
         memcpy(p->R, R_SB, sizeof R_SB), memcpy(p->p, p_SB, sizeof p_SB);
     }

@@ -190,10 +190,11 @@ def new_fields(count: int, grid: tuple[int, int]) -> Any:
             "link_x",
             "link_y",
         ),
-        *("rx", "ry", "rz", "swell", "extra"),
+        *("rx", "ry", "rz", "swell", "extra", "next_fraction"),
     ):
         setattr(fields, name, wp.zeros((count, nodes), dtype=float))
-    fields.owner = wp.zeros((count, nodes), dtype=int)
+    for name in ("owner", "next_slot"):
+        setattr(fields, name, wp.zeros((count, nodes), dtype=int))
     fields.spring = wp.zeros((count, 4, nodes), dtype=float)
     fields.away = wp.zeros((count, 2, nodes), dtype=float)
     for name in ("pressure", "volume", "gain"):

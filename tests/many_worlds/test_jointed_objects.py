@@ -81,3 +81,36 @@ def test_joints_inside_an_object_are_damped_as_on_the_cpu(places):
     assert found[6:] == pytest.approx(expected[6:], rel=5e-3)
     assert np.isfinite(speed).all()
     assert touch.failures() == 0
+
+
+def test_the_force_at_a_border_of_two_bodies_is_that_of_the_cpu():
+    """Nodes next to the border of two overlapping balls carry a part of both."""
+    spec = mujoco.MjSpec()
+    mjtactile.configure_options(spec, 0.00208)
+    tip = mjtactile.attach(
+        spec, "dense", site=spec.worldbody.add_site(name="tip"), prefix="tip/", effects="-mesh"
+    )
+    for sign in (-1.0, 1.0):
+        body = spec.worldbody.add_body(pos=[sign * 3e-4 + 5e-4, 0.0, 0.0215], mocap=True)
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    with warnings.catch_warnings(action="ignore"):
+        finger = tip.bind(model, data)
+    mujoco.mj_forward(model, data)
+    for _ in range(3):
+        finger.sensor.update()
+    touching = finger.sensor._patches["touching"] > 0
+    expected = finger.sensor._patches["wrench"][touching, 2]
+    model.opt.disableflags = 0
+    with wp.ScopedDevice("cpu"):
+        m, d = mjw.put_model(model), mjw.put_data(model, data, nworld=1, nconmax=32, njmax=96)
+        touch = mjtactile.warp.bind(model, m, d, [tip])
+        for sealed in (0, 1):  # as on the CPU
+            touch.sealed.fill_(sealed)
+            for _ in range(20):  # to equilibrium
+                mjw.forward(m, d)
+        patches = touch.membrane_patches.numpy()[0]
+    found = patches["force"][patches["touches"] != 0, 2]
+    # single precision; a node at the border carries 20 to 40 mN
+    assert found == pytest.approx(expected, abs=1e-3)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from mjtactile.warp.device.borders import force_on
 from mjtactile.warp.device.edges import contact_area
 from mjtactile.warp.device.fields import Fields
 from mjtactile.warp.device.grid import MembraneGrid, node_at
@@ -91,28 +92,27 @@ def sum_contact(
     shift_x = float(0.0)
     shift_y = float(0.0)
     for k in range(lane, membrane.nx * membrane.ny, threads):
-        q = fields.force[f, k]
-        owner = fields.owner[f, k]
-        if q > 0.0 and owner >= 0:
-            if slot_of[finger, owner] == slot:
-                i = k // membrane.ny
-                x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
-                push = wp.vec3(q * fields.slope_x[f, k], q * fields.slope_y[f, k], -q)
-                torque_k = wp.cross(x, push)
-                q_sum += q
-                area += contact_area(membrane, geoms, pool, fields, f, k, tension, has_thin)
-                fx += push[0]
-                fy += push[1]
-                sx += q * x[0]
-                sy += q * x[1]
-                sz += q * x[2]
-                tx += torque_k[0]
-                ty += torque_k[1]
-                tz += torque_k[2]
-                if before[f, 2, k] > 0.0:
-                    kept += q
-                    shift_x += q * (fields.u[f, 0, k] - before[f, 0, k])
-                    shift_y += q * (fields.u[f, 1, k] - before[f, 1, k])
+        q = force_on(fields, slot_of, f, finger, slot, k)
+        if q > 0.0:
+            i = k // membrane.ny
+            x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
+            push = wp.vec3(q * fields.slope_x[f, k], q * fields.slope_y[f, k], -q)
+            torque_k = wp.cross(x, push)
+            q_sum += q
+            own_area = contact_area(membrane, geoms, pool, fields, f, k, tension, has_thin)
+            area += own_area * q / fields.force[f, k]
+            fx += push[0]
+            fy += push[1]
+            sx += q * x[0]
+            sy += q * x[1]
+            sz += q * x[2]
+            tx += torque_k[0]
+            ty += torque_k[1]
+            tz += torque_k[2]
+            if before[f, 2, k] > 0.0:
+                kept += q
+                shift_x += q * (fields.u[f, 0, k] - before[f, 0, k])
+                shift_y += q * (fields.u[f, 1, k] - before[f, 1, k])
     total = _sum(q_sum)
     over = 1.0 / wp.max(total, 1.0e-9)
     center = wp.vec3(_sum(sx) * over, _sum(sy) * over, _sum(sz) * over)
@@ -124,13 +124,11 @@ def sum_contact(
     over_kept = 1.0 / wp.max(_sum(kept), 1.0e-9)
     sum_of_distances = float(0.0)
     for k in range(lane, membrane.nx * membrane.ny, threads):
-        q = fields.force[f, k]
-        owner = fields.owner[f, k]
-        if q > 0.0 and owner >= 0:
-            if slot_of[finger, owner] == slot:
-                i = k // membrane.ny
-                x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
-                sum_of_distances += q * wp.length(wp.vec2(x[0] - center[0], x[1] - center[1]))
+        q = force_on(fields, slot_of, f, finger, slot, k)
+        if q > 0.0:
+            i = k // membrane.ny
+            x = node_at(membrane, fields.u, f, i, k - i * membrane.ny)
+            sum_of_distances += q * wp.length(wp.vec2(x[0] - center[0], x[1] - center[1]))
     patch.radius = _sum(sum_of_distances) * over
     patch.shift = wp.vec2(_sum(shift_x) * over_kept, _sum(shift_y) * over_kept)
     return patch

@@ -33,6 +33,8 @@ class Fields:
     slope_x: wp.array2d(dtype=float)
     slope_y: wp.array2d(dtype=float)
     owner: wp.array2d(dtype=int)
+    next_slot: wp.array2d(dtype=int)
+    next_fraction: wp.array2d(dtype=float)
     gap: wp.array2d(dtype=float)
     change: wp.array2d(dtype=float)
     step_before: wp.array2d(dtype=float)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from mjtactile.warp.device.borders import find_borders
 from mjtactile.warp.device.contact import MIN_FORCE, Patch, move, remember_nodes, sum_contact
 from mjtactile.warp.device.elasticity import mean_tension
 from mjtactile.warp.device.equilibrium import solve
@@ -187,6 +188,7 @@ def update_all(
     solve(membrane, scheme, gas, geoms, pool, fields, f, lane, threads, modulus[f])
     tension = mean_tension(membrane, fields.u, f, lane, threads, modulus[f])
     has_thin = has_thin_obstacle(membrane, geoms, f)
+    find_borders(membrane, geoms, pool, fields, sensor_geoms.slots, f, finger, lane, threads)
     list_held(membrane, fields, sticking, sensor_geoms.slots, f, finger, lane)
     if sticking.stale[f] != 0:
         keep_loads(membrane, sticking, states.nodes, f, lane, threads)
