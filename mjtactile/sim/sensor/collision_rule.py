@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjtactile.sim.sensor.feature_size import name_of, weld_bodies
-from mjtactile.sim.sensor.membrane import ANYTHING
+from mjtactile.sim.sensor.membrane import RESERVED
 
-RESERVED = 1 << 30
-"""Bit of `contype` that only membranes and their housings have in their `conaffinity`."""
 _MARGIN = 1e-3  # m; published scenes have up to this
 _NAMED = 5  # geoms listed in a note
 _DEFAULT = 1  # contype of a geom without one in its MJCF
@@ -30,7 +28,7 @@ def apply_collision_rule(model: mujoco.MjModel, carrier: int) -> None:
         (model.geom_contype, model.geom_conaffinity),
         (model.flex_contype, model.flex_conaffinity),
     ):
-        others = conaffinity != ANYTHING
+        others = (conaffinity & RESERVED) == 0
         contype[others & (contype == 0) & ((conaffinity & _DEFAULT) != 0)] = RESERVED
     model.geom_contype[_paired_with(model, carrier)] = RESERVED
     bodies = model.geom_bodyid[model.geom_contype == RESERVED]
@@ -78,7 +76,7 @@ def _with_margin_or_gap(model: mujoco.MjModel, carrier: int) -> NDArray[np.int64
     moves = (model.geom_margin > _MARGIN) | (model.geom_gap < 0)
     other = model.body_rootid[model.geom_bodyid] != model.body_rootid[carrier]
     other |= model.geom_bodyid == 0
-    touches = (model.geom_contype != 0) & (model.geom_conaffinity != ANYTHING)
+    touches = (model.geom_contype != 0) & ((model.geom_conaffinity & RESERVED) == 0)
     return np.flatnonzero(moves & other & touches)
 
 

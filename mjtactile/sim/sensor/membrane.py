@@ -19,6 +19,8 @@ TENDON = "gas"
 BODY = "sensor"
 ANYTHING = 0x7FFFFFFF
 """Value of `conaffinity` for contact with every geom that has a nonzero `contype`."""
+RESERVED = 1 << 30
+"""Bit of `contype` that only membranes and their housings have in their `conaffinity`."""
 
 # Viscous resistance to membrane motion relative to the frame, N s/m per m^2 of membrane and per N/m
 # of its stiffness (s/m^2). It models the rubber's internal friction and settles the shape in about

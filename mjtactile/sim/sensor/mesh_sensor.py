@@ -19,6 +19,7 @@ from mjtactile.sim.sensor.curvature_standoff import StandOff
 from mjtactile.sim.sensor.effect_switches import PHYSICS, make_geometry, make_load
 from mjtactile.sim.sensor.membrane import FLEX, ContactStiffness, pre_stretch, touch_with
 from mjtactile.sim.sensor.mesh import MembraneMesh
+from mjtactile.sim.sensor.own_links import exclude_from_elements
 from mjtactile.sim.sensor.rubber_flex import RelaxingMesh, Rubber, all_rows
 from mjtactile.sim.sensor.sharp_geoms import missed
 from mjtactile.sim.sensor.sleep import Sleeper
@@ -76,6 +77,8 @@ class TactileSensor(BaseSensor):
         if not on_vertices:
             refuse_thin(model, self.body_id, mesh)
         touch_with(model, vertices, self.flex_id, self.contact)
+        if not on_vertices:
+            exclude_from_elements(model, self.body_id, self.flex_id)
         self._contact_stiffness = ContactStiffness(
             model, vertices, self.flex_id, mesh, membrane, remembers=on_vertices
         )

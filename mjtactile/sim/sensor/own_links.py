@@ -12,7 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.errors import InputError
 from mjtactile.sim.sensor.feature_size import weld_bodies
+from mjtactile.sim.sensor.membrane import RESERVED
 
 
 def own_links(model: mujoco.MjModel, body: int) -> NDArray[np.int64]:
@@ -49,6 +51,53 @@ def _carries(model: mujoco.MjModel, part: int, body: int) -> bool:
     while part and part not in above and not model.body_jntnum[part]:
         part = int(model.body_parentid[part])
     return part != 0 and part in above
+
+
+def exclude_from_elements(model: mujoco.MjModel, body: int, flex: int) -> None:
+    """Exclude contacts of the membrane's triangles with the bodies that `own_links` returns.
+
+    MuJoCo does not apply `<exclude>` to a flex. The geoms of these bodies get `contype` bits of
+    their own, which all others take over in their `conaffinity` except for this flex.
+
+    Args:
+        model: Compiled scene; its contact bits are changed.
+        body: Body of the sensor.
+        flex: Flex of the membrane.
+
+    Raises:
+        InputError: A scene that uses all bits.
+    """
+    mine = np.isin(model.geom_bodyid, own_links(model, body))
+    for contype in np.unique(model.geom_contype[mine & (model.geom_contype != 0)]).tolist():
+        same = mine & (model.geom_contype == contype)
+        bit = contype
+        if (model.geom_contype[~same] & contype).any() or (model.flex_contype & contype).any():
+            bit = _unused_bit(model)
+            for affinity in (
+                model.geom_conaffinity,
+                model.body_conaffinity,
+                model.flex_conaffinity,
+            ):
+                affinity[:] = np.where(affinity & contype, affinity | bit, affinity & ~bit)
+            model.geom_contype[same] = bit
+            model.body_contype[model.geom_bodyid[same]] |= bit
+        model.flex_conaffinity[flex] &= ~bit
+
+
+def _unused_bit(model: mujoco.MjModel) -> int:
+    """Return a bit that is in no `contype` of the scene."""
+    used = np.bitwise_or.reduce(
+        np.concatenate([model.geom_contype, model.flex_contype, [RESERVED]])
+    )
+    for number in range(30):
+        if not used & (1 << number):
+            return 1 << number
+    raise InputError(
+        "the scene uses all contype bits, but contact 'elements' needs one for the links next to "
+        "the sensor: free a bit, or use contact 'vertices'",
+        source="bind",
+        field="contact",
+    )
 
 
 def exclude_own_links(

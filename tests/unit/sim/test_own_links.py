@@ -1,11 +1,16 @@
 """Links whose contacts with a sensor do not count: on the model, and as excludes of the mesh."""
 
 import mujoco
+import numpy as np
 import pytest
 
 import mjtactile
+from mjtactile.core.errors import InputError
+from mjtactile.sim.attach import attach_membrane
 from mjtactile.sim.sensor.own_links import own_links
 
+# contype, conaffinity of the knuckle, the thumb and the object
+BITS = [((1, 1), (1, 1), (1, 1)), ((3, 0), (2, 1), (0, 1)), ((1, 0), (4, 8), (9, 4))]
 HAND = """
 <mujoco>
   <worldbody>
@@ -59,3 +64,48 @@ def test_links_that_carry_the_sensor_make_no_contact(joint, contact, names):
     others = {a + b - vertex for a, b in pairs if vertex in (a, b)}
     robot = {"palm", "knuckle", "nail", "thumb", "object"}
     assert {model.body(other).name for other in others} & robot == names
+
+
+def touches(contype, conaffinity, other_contype, other_conaffinity):
+    """Return MuJoCo's rule for all pairs."""
+    first = contype[:, None] & other_conaffinity[None]
+    return (first | (other_contype[None] & conaffinity[:, None])) != 0
+
+
+@pytest.mark.parametrize("bits", BITS)
+def test_triangles_pass_own_links_and_all_other_pairs_stay(bits):
+    """MuJoCo does not apply `<exclude>` to a flex."""
+    spec = mujoco.MjSpec.from_string(HAND.format(joint="hinge", contact=""))
+    mjtactile.configure_options(spec)
+    tip = attach_membrane(spec, "dense", site="tip", prefix="t/", contact="elements")
+    for name, (contype, conaffinity) in zip(("knuckle", "thumb", "object"), bits, strict=True):
+        geom = spec.body(name).geoms[0]
+        geom.contype, geom.conaffinity = contype, conaffinity
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    named = [model.body(name).geomadr[0] for name in ("knuckle", "nail", "thumb", "object")]
+    before = touches(*[model.geom_contype, model.geom_conaffinity] * 2)[named]
+    for _ in range(2):  # a reset of the sensor binds it again
+        sensor = tip.bind(model, data)
+    after = touches(*[model.geom_contype, model.geom_conaffinity] * 2)[named]
+    vertices = sensor.vertex_geom_ids  # these touch nothing with triangles
+    others = np.setdiff1d(np.arange(model.ngeom), vertices)
+    assert np.array_equal(after[:, others], before[:, others])
+    flex = [sensor.flex_id]
+    geoms = (model.geom_contype[named], model.geom_conaffinity[named])
+    by_flex = touches(*geoms, model.flex_contype[flex], model.flex_conaffinity[flex])[:, 0]
+    assert by_flex.tolist() == [False, False, *(contype > 0 for contype, _ in bits[1:])]
+    # bodies have the bits of their geoms, or more
+    bodies = model.geom_bodyid[named]
+    assert not (model.geom_contype[named] & ~model.body_contype[bodies]).any()
+    assert not (model.geom_conaffinity[named] & ~model.body_conaffinity[bodies]).any()
+
+
+def test_a_scene_without_a_free_bit_is_refused():
+    spec = mujoco.MjSpec.from_string(HAND.format(joint="hinge", contact=""))
+    mjtactile.configure_options(spec)
+    tip = attach_membrane(spec, "dense", site="tip", prefix="t/", contact="elements")
+    spec.body("thumb").geoms[0].contype = (1 << 30) - 1
+    model = spec.compile()
+    with pytest.raises(InputError, match="contype bits"):
+        tip.bind(model, mujoco.MjData(model))
