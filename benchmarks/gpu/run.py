@@ -16,7 +16,9 @@ import gymnasium
 import numpy as np
 
 import mjtactile.gym  # noqa: F401  # registers the environment
+from benchmarks.gpu.creep import STEPS, creep, creep_lines
 from benchmarks.gpu.linear_solver import stop_at_convergence
+from benchmarks.gpu.memory import array_memory
 from benchmarks.gpu.pairs import NAME, RANDOM, SEED, PairedGrasps, commands_of
 from benchmarks.gpu.presses import KINDS, press_objects, press_table
 from benchmarks.gpu.tactile_sensor import speeds
@@ -62,8 +64,8 @@ def run(
         notify: Receiver of progress messages.
 
     Returns:
-        "device", "pairs", "presses", "failures" and, on a GPU, "speed", "tactile", "solutions".
-        "skipped" names the parts for which no time was left.
+        "device", "pairs", "presses", "creep", "failures" and, on a GPU, "speed", "tactile",
+        "solutions", elsewhere "memory". "skipped" names the parts for which no time was left.
     """
     import warp as wp
 
@@ -89,8 +91,10 @@ def run(
         ("presses", lambda kind=kind: press_objects(kind, PRESSES[quick], str(device)))
         for kind in KINDS
     ]
+    parts += [("creep", lambda step=step: creep(step, str(device))) for step in STEPS[quick:]]
     if not device.is_cuda:
         parts.append(_failure_part(4 if quick else 32, 400 if quick else 10**4, str(device)))
+        parts.append(("memory", lambda: _memory(WORLDS[-1 if quick else 0], str(device))))
     for name, measure in parts:
         if time.monotonic() > start + _LIMIT and device.is_cuda:
             result["skipped"].append(name)
@@ -159,6 +163,17 @@ def _speed(worlds: int, commands: Array, device: str) -> dict[str, Any]:
     }
     many.close()
     return found
+
+
+def _memory(worlds: int, device: str) -> dict[str, Any]:
+    """Measure the memory of episodes without a GPU."""
+
+    def make() -> Any:
+        many = _worlds(worlds, device, {"object": "egg", "randomization": "default"})
+        many.reset(seed=SEED)
+        return many
+
+    return {"worlds": worlds, "memory_GB": array_memory(make)}
 
 
 def _solutions(count: int, device: str) -> dict[str, Any]:
@@ -238,6 +253,8 @@ def table(result: Mapping[str, Any]) -> str:
     if result.get("presses"):
         lines += ["", "Random presses of 0.3 to 2.5 mm, 6 mm from the frame:", ""]
         lines += press_table(result["presses"])
+    if result.get("creep"):
+        lines += creep_lines(result["creep"])
     for row in result.get("failures", []):
         lines += [
             "",
@@ -245,6 +262,8 @@ def table(result: Mapping[str, Any]) -> str:
             f"control steps, {row['touching']:,} of them with contact; {row['rejected']} with a "
             f"rejected solution, {row['failed']} with an invalid state.",
         ]
+    for row in result.get("memory", []):
+        lines += ["", f"Arrays of {row['worlds']} worlds: {row['memory_GB']:.2f} GB."]
     if not result["is_gpu"]:
         return "\n".join([*lines, "", "No GPU was at hand: speed was not measured."]) + "\n"
     lines += ["", "| worlds | control steps/s | memory, GB | held force, N |", "|---|---|---|---|"]

@@ -8,6 +8,8 @@ import pytest
 
 pytest.importorskip("mujoco_warp")
 
+from benchmarks.gpu.creep import creep
+from benchmarks.gpu.memory import array_memory
 from benchmarks.gpu.pairs import SEED, Grasp, Pair, PairedGrasps, _next_actions
 from benchmarks.gpu.presses import press_objects
 from benchmarks.gpu.run import _failures, table
@@ -33,16 +35,20 @@ def test_without_a_gpu_the_table_states_that_speed_was_not_measured():
 
 def test_rejected_solutions_of_random_actions_are_in_the_table():
     row = {"worlds": 32, "control_steps": 9984, "touching": 800, "rejected": 3, "failed": 1}
+    slow = {"step_ms": 4.17, "masses_g": [10.0, 300.0], "speed_um_s": [0.01, 0.0204]}
     text = table(
         {
             "device": "CPU",
             "is_gpu": False,
             "pairs": [PAIR | {"force_difference_p95_N": 0.05}],
             "failures": [row],
+            "creep": [slow],
+            "memory": [{"worlds": 4096, "memory_GB": 0.78}],
             "skipped": [],
         }
     )
     assert "9,984 control steps, 800 of them with contact; 3 with a rejected solution, 1 w" in text
+    assert "| 4.17 | 10 to 300 | 0.020 |" in text and "Arrays of 4096 worlds: 0.78 GB." in text
 
 
 @pytest.mark.slow(20)
@@ -115,3 +121,22 @@ def test_random_presses_have_the_sticking_stiffness_of_the_cpu():
     assert found["rms"]["force"] < 0.005
     assert found["rms"]["shear"] < 0.003
     assert found["rms"]["torsion"] < 0.01
+
+
+@pytest.mark.slow(10)
+def test_boxes_held_by_friction_do_not_creep():
+    """Required: 1 um/s."""
+    found = creep(4.17e-3, "cpu", masses=(0.01, 0.3), phases=(0.6, 1.0, 0.6))
+    weight = np.array(found["masses_g"]) * 9.81e-3
+    assert found["shear_N"] == pytest.approx(weight / 2, rel=0.005)
+    assert max(found["speed_um_s"]) < 1.0 and found["rejected"] == 0
+
+
+def test_memory_is_that_of_the_arrays_that_are_kept():
+    import warp as wp
+
+    def make():
+        wp.zeros(10**6, dtype=float, device="cpu")  # not kept
+        return wp.zeros(10**6, dtype=float, device="cpu")
+
+    assert array_memory(make) == pytest.approx(4e-3, rel=0.01)
