@@ -38,7 +38,7 @@ _GENEROUS = (
     ("delay_ms", "8.0", "400.0"),
     ("reply_timeout_ms", "20", "100"),
     ("watchdog_ms", "200", "1200"),
-    ("heartbeat_ms", "250", "1200"),
+    ("heartbeat_ms", "250", "1200\nreply_timeout_ms = 100"),  # of the valve board
     ("host_timeout_ms", "1000", "2000"),
 )
 

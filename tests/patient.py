@@ -21,5 +21,5 @@ def patient_rig_file():
         rig_file,
         bus=replace(rig_file.bus, reply_timeout=0.25, watchdog=2.5, host_timeout=5.0),
         cameras=cameras,
-        valves=tuple(replace(valve, heartbeat=3.0) for valve in rig_file.valves),
+        valves=tuple(replace(valve, heartbeat=3.0, reply_timeout=0.1) for valve in rig_file.valves),
     )
