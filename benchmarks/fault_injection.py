@@ -70,7 +70,7 @@ KINDS = (
             "tests/unit/runtime/test_pressure_command.py",
             "tests/unit/runtime/test_controller.py",
             "tests/unit/runtime/test_grasp_outcome.py",
-            "tests/cli/test_bad_input.py::test_a_controller_that_misbehaves_is_named",
+            "tests/cli/test_bad_input.py::test_a_faulty_controller_is_named",
         ),
     ),
     Kind(

@@ -32,7 +32,7 @@ def pixels(page, selector):
     return page.run(f"document.querySelector('{selector}').toDataURL()")
 
 
-def test_a_page_is_zoomed_read_off_turned_and_goes_through_time(tmp_path):
+def test_page_supports_zoom_readout_rotation_and_time_slider(tmp_path):
     cycles = write_fake_recording(tmp_path / "run", count=60)
     strip = DecimatedHistory()
     for cycle in cycles:

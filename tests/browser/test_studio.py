@@ -189,7 +189,7 @@ def is_dark(bgr):
     return bgr[:, :, 1] < 60
 
 
-def test_a_membrane_deforms_under_a_grasp_and_the_panels_numbers_are_the_sessions(studio):
+def test_membrane_deforms_in_a_grasp_and_panel_values_equal_session_values(studio):
     studio.is_up()
     # a scene that is not black, markers, and nothing touches
     first, _ = studio.image(
@@ -245,7 +245,7 @@ def test_the_supply_slider_changes_the_pressure(studio):
     )
 
 
-def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
+def test_exception_of_a_handler_is_shown_and_the_session_continues(studio):
     studio.ask("break")
     studio.until(
         lambda f: any("ZeroDivisionError" in text for text in f["reported"]), "the error is shown"
@@ -260,7 +260,7 @@ def test_a_handler_that_raises_is_shown_and_the_session_goes_on(studio):
     )
 
 
-def test_a_second_page_watches_and_strangers_change_nothing(studio):
+def test_second_page_is_read_only_and_other_origins_change_no_state(studio):
     """Studio serves its windows to one page at a time and the scene to all, but rejects other web
     sites and clients that do not use HTTP."""
     address = f"ws://localhost:{studio.port}"
@@ -293,7 +293,7 @@ def test_a_second_page_watches_and_strangers_change_nothing(studio):
     assert re.findall(rf"\s([0-9A-F]+):{studio.port:04X}\s+0+:0000 0A", listening) == ["0100007F"]
 
 
-def test_a_page_that_was_closed_and_opened_again_goes_on(studio):
+def test_a_reopened_page_continues(studio):
     number = studio.ask()["number"]
     studio.close()
     studio.open("two")
@@ -303,7 +303,7 @@ def test_a_page_that_was_closed_and_opened_again_goes_on(studio):
     studio.until(lambda f: f["number"] > number, "it goes on")
 
 
-def test_ctrl_c_leaves_nothing_behind_in_a_pause_too(studio):
+def test_ctrl_c_in_a_pause_leaves_no_process(studio):
     studio.press("pause")
     studio.until(lambda f: f["paused"], "it pauses")
     studio.process.send_signal(signal.SIGINT)

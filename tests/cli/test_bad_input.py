@@ -136,7 +136,7 @@ def test_bad_file_or_name(command, tmp_path, case):
         ),
     ],
 )
-def test_a_controller_that_misbehaves_is_named(command, tmp_path, body, words):
+def test_a_faulty_controller_is_named(command, tmp_path, body, words):
     (tmp_path / "bad.py").write_text(f"def step(observation):\n    {body}\n")
     process = command(
         "grasp", "--controller", "bad.py", "--effects=-mesh,-pipeline", "--out", "result", "--json"
@@ -204,7 +204,7 @@ def test_bad_usage(command, args, words):
         ),
     ],
 )
-def test_no_library_speaks_before_our_own_line(mjtactile, tmp_path, files, args, words):
+def test_the_error_line_is_printed_before_library_output(mjtactile, tmp_path, files, args, words):
     for name, content in files.items():
         (tmp_path / name).write_bytes(content)
     process = mjtactile(*args)
@@ -214,7 +214,7 @@ def test_no_library_speaks_before_our_own_line(mjtactile, tmp_path, files, args,
     assert not (tmp_path / "out").exists()  # nor is an empty folder left behind
 
 
-def test_mujocos_own_words_are_for_debugging(tmp_path):
+def test_mujoco_messages_are_printed_with_debug_only(tmp_path):
     code = """if True:
         import mujoco, numpy as np
         from mjtactile import cli
@@ -257,7 +257,7 @@ def test_debug_shows_where(command):
     assert process.returncode == 2 and "Traceback" in process.stderr
 
 
-def test_help_teaches(command):
+def test_help_has_examples(command):
     for words in ([], ["grasp"], ["bench"], ["detect-circles"]):
         process = command(*words, "--help")
         assert process.returncode == 0 and process.stderr == ""
@@ -268,7 +268,7 @@ def test_help_teaches(command):
     assert command("--version").stdout.startswith("mjtactile 0.")
 
 
-def test_nothing_is_left_in_the_working_folder(command, tmp_path):
+def test_no_file_is_left_in_the_working_folder(command, tmp_path):
     command("grasp", "--object", "stone")
     assert list(Path(tmp_path).iterdir()) == []
 
@@ -326,7 +326,7 @@ def test_a_wrong_option_is_refused_before_anything_starts(command, tmp_path, wor
         (("new", "object", ".."), "..: is a folder"),
     ],
 )
-def test_names_that_no_file_or_rig_has(command, tmp_path, words, message):
+def test_unknown_names_are_refused(command, tmp_path, words, message):
     done = command(*words)
     assert done.returncode == 2
     assert done.stderr.startswith(f"mjtactile: {message}")

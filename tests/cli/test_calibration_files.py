@@ -67,7 +67,7 @@ def cut_in_half(folder):
         ),
     ],
 )
-def test_a_calibration_of_something_else_ends_a_grasp_before_it_starts(
+def test_a_calibration_of_another_device_is_refused_before_the_grasp(
     rig, tmp_path, capsys, spoil, words
 ):
     spoil(tmp_path)

@@ -100,13 +100,13 @@ def test_interrupted_resumed_and_in_shards(tmp_path, command):
         ),
     ],
 )
-def test_bad_words(capsys, words, text):
+def test_invalid_options_are_refused(capsys, words, text):
     assert main(["evaluate", *words]) == 2
     reported = capsys.readouterr().err
     assert text in reported and len(reported.strip().splitlines()) == 1
 
 
-def test_a_pattern_among_the_objects_stands_for_its_files(tmp_path, monkeypatch):
+def test_a_pattern_of_objects_expands_to_files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("b.xml", "a.xml", "a.toml"):
         (tmp_path / name).write_text("")

@@ -36,7 +36,7 @@ def test_invalid_requests_are_refused(capsys, tmp_path):
     )
 
 
-def test_a_recorded_press_is_a_place_of_the_indenter(capsys, tmp_path):
+def test_a_recorded_press_has_the_position_of_the_indenter(capsys, tmp_path):
     moves = tmp_path / "twice.csv"
     moves.write_text("time_s,depth_mm,speed_mm_s\n0,1,40\n0.2,2,40\n")
     run = str(tmp_path / "press")
@@ -75,7 +75,7 @@ def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_s
 
 
 @pytest.mark.slow(20)
-def test_an_egg_is_touched_and_gone_on_with(capsys, tmp_path, monkeypatch):
+def test_exploration_of_an_egg_can_be_resumed(capsys, tmp_path, monkeypatch):
     # fits of two of the six families; tests/unit/explore/ compares all of them
     families = [one for one in FAMILIES if one.name in ("ellipsoid", "box")]
     assert len(families) == 2

@@ -41,7 +41,7 @@ def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypat
         assert "#" in copy.read_text() or "<!--" in copy.read_text()  # its comments came along
 
 
-def test_a_copied_simulated_rig_brings_its_robot_along(command, tmp_path):
+def test_a_copied_simulated_rig_includes_its_robot(command, tmp_path):
     report = json.loads(command("new", "rig", "mine", "--template", "sim", "--json").stdout)
     assert report["files"] == ["mine.toml", "mine.xml"]
     rig = read_rig_file(tmp_path / "mine.toml")
@@ -112,7 +112,7 @@ def test_a_copied_controller_grasps_a_copied_object(command, tmp_path):
     assert (report["outcome"], report["object"], report["controller"]) == ("held", "plum", "mine")
 
 
-def test_nothing_is_overwritten(command, tmp_path):
+def test_no_file_is_overwritten(command, tmp_path):
     (tmp_path / "mine.toml").write_text("precious")
     for name in ("mine", "mine.toml"):
         assert_one_line(command("new", "sensor", name), ["mine.toml", "exists already"])
@@ -140,7 +140,7 @@ def test_a_name_may_have_a_dot(command, tmp_path):
 
 
 @pytest.mark.parametrize("name", [".", "/"])
-def test_a_folder_is_no_name_of_a_file(command, name):
+def test_a_folder_is_refused_as_a_file_name(command, name):
     done = command("new", "object", name)
     assert done.returncode == 2 and "is a folder, not the name of a new file" in done.stderr
 

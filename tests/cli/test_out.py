@@ -30,7 +30,7 @@ Path("end").write_text("reached")
 
 
 @pytest.mark.parametrize("output", ["closed pipe", "full disk", "stopped terminal"])
-def test_nothing_waits_for_an_output(tmp_path, output):
+def test_a_blocked_output_does_not_block_the_program(tmp_path, output):
     if output == "closed pipe":
         reader, writer = os.pipe()
         os.close(reader)
@@ -51,7 +51,7 @@ def test_nothing_waits_for_an_output(tmp_path, output):
     assert (tmp_path / "end").exists()
 
 
-def test_all_of_it_arrives_at_an_output_that_takes_it(tmp_path):
+def test_a_working_output_receives_every_line(tmp_path):
     process = subprocess.run(
         [sys.executable, "-c", CHATTER],
         cwd=tmp_path,
@@ -87,7 +87,7 @@ def run_folder(tmp_path_factory):
         ("probe",),
     ],
 )
-def test_an_older_run_is_refused_and_stays(run_folder, capsys, command):
+def test_an_older_run_is_refused_and_kept(run_folder, capsys, command):
     before = {path: path.read_bytes() for path in run_folder.rglob("*") if path.is_file()}
     assert main([*(word.format(old=run_folder) for word in command), "--out", str(run_folder)]) == 2
     assert "already contains recording" in capsys.readouterr().err
@@ -103,7 +103,7 @@ def test_an_older_run_is_refused_and_stays(run_folder, capsys, command):
         (("experiments",), "experiments.md"),
     ],
 )
-def test_older_results_are_refused_and_stay(tmp_path, capsys, command, name):
+def test_older_results_are_refused_and_kept(tmp_path, capsys, command, name):
     (tmp_path / name).write_text("precious")
     assert main([*command, "--out", str(tmp_path)]) == 2
     assert f"already contains {name}" in capsys.readouterr().err
@@ -120,7 +120,7 @@ def test_older_results_are_refused_and_stay(tmp_path, capsys, command, name):
         ("bench", "rig", "--parts", "foo", "--out", "new"),
     ],
 )
-def test_a_run_that_never_began_leaves_nothing(tmp_path, capsys, monkeypatch, command):
+def test_a_run_that_did_not_start_leaves_no_folder(tmp_path, capsys, monkeypatch, command):
     monkeypatch.chdir(tmp_path)
     assert main(list(command)) != 0
     assert not list(tmp_path.iterdir())
@@ -165,7 +165,7 @@ class Hardware:
         pass
 
 
-def test_an_emulators_rig_file_replaces_none_but_its_own(tmp_path, monkeypatch, capsys):
+def test_an_emulator_replaces_only_its_own_rig_file(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("mjtactile.emulator.process.EmulatorProcess", Hardware)
     monkeypatch.setattr("sys.stdin", [])
     monkeypatch.setattr("time.sleep", lambda _: None)

@@ -90,7 +90,7 @@ def test_from_frames_to_surface_and_force(capsys, frames, tmp_path):
     assert {"reconstruct.json", "0_overlay.png", "0_surface.png", "1_overlay.png"} <= written
 
 
-def test_without_a_reference_touch_is_unknown_not_zero(capsys, frames):
+def test_without_a_reference_the_estimate_is_unknown(capsys, frames):
     frame = run_json(capsys, "reconstruct", frames[0] / "press" / "0.png")["frames"][0]
     assert frame["status"] == "ok" and frame["surface"] is not None
     assert (

@@ -38,7 +38,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-def test_nothing_is_commanded(folder):
+def test_record_commands_no_motion(folder):
     recording = load_recording(folder)
     assert recording.complete and recording.notes["outcome"] == "recorded"
     assert len(recording) == pytest.approx(0.3 * 30, abs=1)
@@ -81,7 +81,7 @@ def test_a_replay_gives_the_same_numbers(folder, tmp_path, capsys):
         assert all(np.array_equal(x.pixels, y.pixels) for x, y in zip(a, b, strict=True))
 
 
-def test_its_page_estimates_it_again(folder, tmp_path, capsys):
+def test_the_page_of_a_recording_repeats_the_estimates(folder, tmp_path, capsys):
     assert main(["summary", str(folder), "--out", str(tmp_path / "page.html"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     page = Balanced((tmp_path / "page.html").read_text())
@@ -93,7 +93,7 @@ def test_its_page_estimates_it_again(folder, tmp_path, capsys):
     assert "hyperelasticity" in page.text  # list of simulated effects
 
 
-def test_a_recording_is_over_when_it_is_over(folder, tmp_path, capsys):
+def test_a_recording_stops_at_its_end(folder, tmp_path, capsys):
     code, result = record(capsys, "--rig", f"replay:{folder}", "--out", tmp_path)  # 10 s, of 0.3
     assert code == 0 and result["cycles"] == len(load_recording(folder))
     assert load_recording(tmp_path).notes["outcome"] == "recorded"

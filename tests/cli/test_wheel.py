@@ -127,7 +127,7 @@ def test_the_source_distribution_is_complete(source):
     assert not [name for name in names if name.endswith((".so", ".pyc"))]
 
 
-def test_an_index_takes_the_wheel(wheel):
+def test_the_wheel_tag_is_that_of_its_libraries(wheel):
     """The wheel's tag is one that an index accepts, and no library in it needs a newer system than
     the tag states."""
     tag = build.PLATFORMS[build.this_platform()][1]
@@ -152,7 +152,9 @@ def test_an_index_takes_the_wheel(wheel):
 @pytest.mark.skipif(build.this_platform() != "linux-x86_64", reason="of x86-64's instruction sets")
 @pytest.mark.skipif(not shutil.which("objdump"), reason="no disassembler here")
 @pytest.mark.parametrize(("instructions", "has_wide"), [("sse2", False), ("avx2", True)])
-def test_a_library_has_no_instructions_but_of_its_set(wheel, tmp_path, instructions, has_wide):
+def test_the_library_uses_only_the_baseline_instruction_set(
+    wheel, tmp_path, instructions, has_wide
+):
     """The processor that compiles may have more than the one that runs it."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (n for n in archive.namelist() if n.endswith(f"-{instructions}.so"))
@@ -162,7 +164,7 @@ def test_a_library_has_no_instructions_but_of_its_set(wheel, tmp_path, instructi
     assert "%zmm" not in text
 
 
-def test_another_platforms_wheel_is_made_here(tmp_path):
+def test_a_wheel_of_another_platform_is_built(tmp_path):
     """The wheel has the tag and one library of the other platform."""
     target = "darwin-arm64"
     build_wheel = (sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", tmp_path)

@@ -168,7 +168,7 @@ def calibrate_cameras(path, file):
 
 
 @pytest.mark.slow(100)
-def test_two_fingers_that_are_not_as_their_sensor_file_states(tmp_path, monkeypatch):
+def test_calibration_of_two_fingers_that_differ_from_their_sensor_file(tmp_path, monkeypatch):
     path = write_rig(tmp_path)
     sensor = ("--sensor", str(tmp_path / "slower.toml"))
     # most of it is a minute of jaws and air that move and rest
@@ -198,7 +198,7 @@ def test_two_fingers_that_are_not_as_their_sensor_file_states(tmp_path, monkeypa
 
 
 @pytest.mark.slow(25)
-def test_servos_whose_torque_is_not_the_data_sheets(tmp_path, monkeypatch):
+def test_calibration_of_servos_whose_torque_differs_from_the_data_sheet(tmp_path, monkeypatch):
     with at_pace(2.0), client(write_rig(tmp_path)) as (emulator, file):
         calibrate(file, emulator, monkeypatch, "gripper")
     servos = json.loads((tmp_path / "gripper.json").read_text())["servo"]

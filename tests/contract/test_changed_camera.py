@@ -37,7 +37,7 @@ class Errors(Observer):
 
 @pytest.mark.slow(9)
 @pytest.mark.parametrize(("sensor", "rate"), [("dense", 30.0), ("dense_fiducials", 15.0)])
-def test_a_grasp_goes_on_when_both_cameras_are_shifted(tmp_path, sensor, rate):
+def test_a_grasp_continues_after_both_cameras_are_shifted(tmp_path, sensor, rate):
     """A camera shift just after first contact (3.2 s) does not end the grasp.
 
     The force error always stays within five reported standard deviations. With fiducials, half

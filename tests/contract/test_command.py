@@ -93,13 +93,13 @@ def test_the_returned_command_is_within_the_limits_of_the_rig(rig):
         assert rig.limits.lift[0] <= sent.lift_height <= rig.limits.lift[1]
 
 
-def test_phase_memory_and_reason_come_back(rig):
+def test_the_returned_command_has_phase_memory_and_reason(rig):
     requested = Command(rig.gripper.state().opening, 1.0, 0.0, "close", {"a": 1.0}, "because")
     sent = rig.gripper.command(requested)
     assert (sent.phase, dict(sent.memory), sent.reason) == ("close", {"a": 1.0}, "because")
 
 
-def test_with_no_force_the_jaws_close_on_nothing(rig):
+def test_with_zero_force_the_jaws_stay_open(rig):
     """Until now 0 left the largest limit in force: the softest request gave the hardest grip."""
     before = rig.gripper.state().opening
     go(rig, Command(rig.limits.opening[0], 0.0), 1.0)
@@ -110,7 +110,7 @@ def test_with_no_force_the_jaws_close_on_nothing(rig):
 
 
 @pytest.mark.parametrize("name", [pytest.param("sim", marks=pytest.mark.slow), EMULATED])
-def test_more_force_is_never_a_softer_grip(name, request):
+def test_grip_force_equals_the_force_limit(name, request):
     rig = make(name, request)
     try:
         efforts = []
@@ -167,7 +167,7 @@ def test_a_replay_returns_the_recorded_commands(folder):
     assert rig.gripper.command(Command(0.05, None)).force_limit == limits[3] == 2.0
 
 
-def test_an_old_recordings_0_is_the_limit_before_it(folder, tmp_path):
+def test_zero_in_an_old_recording_keeps_the_previous_limit(folder, tmp_path):
     """Version 1 wrote 0 where the limit stayed as it was, and before the first one."""
     lines = [json.loads(line) for line in (folder / LOG).read_text().splitlines()]
     cycles = [line for line in lines if line["kind"] == "cycle"]

@@ -79,7 +79,7 @@ def children():
 
 
 @ONE_OR_TWO
-def test_estimates_and_states_arrive_complete_and_read_only(pool):
+def test_estimates_and_states_are_complete_and_read_only(pool):
     pipelines = [Feels(), Feels()]
     for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
         with pool.at_work(pipelines, NAMES) as both:
@@ -94,7 +94,7 @@ def test_estimates_and_states_arrive_complete_and_read_only(pool):
 
 
 @ONE_OR_TWO
-def test_an_error_arrives_as_itself_and_the_next_image_is_checked(pool):
+def test_an_error_keeps_its_class_and_the_next_image_is_evaluated(pool):
     with pool.at_work([Feels(), Raises()], NAMES) as both:
         with pytest.raises(ValueError, match="what it says"):
             both.perceive([IMAGE, IMAGE], 1.0)
@@ -103,7 +103,7 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_checked(pool):
 
 
 @pytest.mark.slow
-def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
+def test_a_blocked_pipeline_reports_unknown_until_it_answers(tmp_path):
     until = tmp_path / "go"
     pool = PerceptionPool(2)
     try:
@@ -124,7 +124,7 @@ def test_one_that_hangs_is_unknown_until_it_answers(tmp_path):
         pool.close()
 
 
-def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(pool):
+def test_a_stopped_process_delays_no_cycle_and_continues_later(pool):
     with pool.at_work([Feels(), Feels()], NAMES) as both:
         pids = children()
         for pid in pids:
@@ -138,7 +138,7 @@ def test_one_that_stands_still_in_the_middle_is_not_waited_for_and_goes_on(pool)
             pass
 
 
-def test_one_that_is_killed_is_reported_and_leaves_its_pipelines_as_they_were(pool):
+def test_a_killed_process_is_reported_and_its_pipelines_are_unchanged(pool):
     pipelines = [Feels(), Feels()]
     with pool.at_work(pipelines, NAMES) as both:
         both.perceive([IMAGE, IMAGE], 1.0)
@@ -185,9 +185,7 @@ def test_a_grasp_whose_process_is_killed_sets_down_and_reports_why(tmp_path):
     assert children() == []
 
 
-def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_session_does_without(
-    monkeypatch,
-):
+def test_if_a_process_cannot_start_the_pool_is_closed_and_a_session_uses_none(monkeypatch):
     started = []
     start = process.start
 
@@ -205,7 +203,7 @@ def test_without_room_for_the_second_process_the_first_is_ended_too_and_a_sessio
         assert children() == [] and len(session.perceptions) == 2
 
 
-def test_one_a_camera_as_far_as_there_are_processors_for_them(monkeypatch):
+def test_default_count_is_bounded_by_cameras_and_processors(monkeypatch):
     for processors, expected in ((1, 0), (2, 1), (3, 2), (8, 2)):
         monkeypatch.setattr(platform_support, "processors", lambda n=processors: n)
         assert default_count(2) == expected

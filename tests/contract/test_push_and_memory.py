@@ -36,7 +36,7 @@ def _unused("""
 
 @pytest.mark.slow(40)
 @pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
-def test_servos_that_push_a_frame_are_reported_and_a_step_that_eats_the_memory_is_refused(tmp_path):
+def test_loads_on_a_frame_are_reported_and_steps_beyond_the_memory_limit_are_refused(tmp_path):
     path = tmp_path / "board.xml"
     path.write_text(BOARD)
     emulator = emulated_rig(str(path))

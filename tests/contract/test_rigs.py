@@ -152,7 +152,7 @@ def test_the_loop_runs_on_it(rig, tmp_path):
         assert recording.column("gauge_pressure")[-1] == pytest.approx(PRESSURE, abs=behind)
 
 
-def test_images_have_the_designs_size_and_see_the_markers(rig):
+def test_images_have_the_size_of_the_design_and_show_the_markers(rig):
     for camera in rig.cameras:
         image = patient_read(camera, rig.clock, rig.period)
         assert image.pixels.shape == (DESIGN.camera.height, DESIGN.camera.width)
@@ -198,7 +198,7 @@ def test_every_reading_reports_when_it_was_taken(rig):
         assert reading.time + reading.age <= after + 1e-9
 
 
-def test_closing_twice_does_no_harm(rig):
+def test_close_can_be_called_twice(rig):
     rig.close()
     rig.close()
 
@@ -280,7 +280,7 @@ def test_a_replay_reports_the_recorded_names_and_outcome(tmp_path):
     assert summary["recorded"]["controller"] == "adaptive"
 
 
-def test_a_recording_carries_the_calibration_and_its_replay_goes_by_it(tmp_path):
+def test_a_replay_uses_the_recorded_calibration(tmp_path):
     mark = stamp(DESIGN, {}, {})
     camera = DESIGN.camera
     lens = LensCalibration(
@@ -361,7 +361,7 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
 
 @pytest.mark.clock
 @ONE_EMULATOR
-def test_an_emulated_membrane_is_known_to_be_a_mesh(emulator):
+def test_an_emulated_membrane_is_reported_as_a_mesh(emulator):
     """The errors of its contact shapes are those of a simulated mesh, not of rubber: on 13 x 11
     vertices an egg was reported as flat, with 100 %."""
     rig = build_emulated_rig(

@@ -142,7 +142,7 @@ def test_output_that_is_not_read_and_a_folder_that_is_removed(emulator, tmp_path
 
 
 @pytest.mark.slow(55)
-def test_a_terminal_that_stands_still_a_full_disk_and_no_descriptors(emulator, tmp_path):
+def test_a_stopped_terminal_a_full_disk_and_no_descriptors(emulator, tmp_path):
     reader, writer = pty.openpty()
     with host(emulator, tmp_path, controller_text(hold=0.5), stderr=writer) as running:
         running.wait_for_phase("regulate", "lift", "hold")
@@ -174,7 +174,7 @@ def test_a_controller_that_fails(emulator, tmp_path, fault):
 
 
 @pytest.mark.slow(25)
-def test_a_resumed_host_finds_its_held_object_and_sets_it_down(emulator, tmp_path):
+def test_a_resumed_host_sets_the_held_object_down(emulator, tmp_path):
     """With `on_host_loss = "hold"`: its servos' watchdogs have tripped, its chambers are sealed."""
     with host(emulator, tmp_path, loss="hold") as running:
         running.wait_for_phase("hold")
@@ -198,7 +198,7 @@ def test_a_resumed_host_finds_its_held_object_and_sets_it_down(emulator, tmp_pat
 
 
 @pytest.mark.clock(15)
-def test_a_killed_host_leaves_it_to_the_watchdogs(emulator, tmp_path):
+def test_after_a_killed_host_the_watchdogs_act(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     sensor = write_slower_sensor(tmp_path)
     process = subprocess.Popen(

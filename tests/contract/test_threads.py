@@ -93,7 +93,7 @@ def estimated(image, now, reading=None):
     return unknown_touch(image, now, "ok")
 
 
-def test_both_work_at_the_same_time():
+def test_both_pipelines_run_concurrently():
     meet = threading.Barrier(2, timeout=300)  # each waits for the other
 
     def act(image, now, reading=None):
@@ -106,7 +106,7 @@ def test_both_work_at_the_same_time():
 
 
 @pytest.mark.parametrize("threads", [0, 1, 2])
-def test_an_error_arrives_as_itself_and_the_next_image_is_checked(threads):
+def test_an_error_keeps_its_class_and_the_next_image_is_evaluated(threads):
     calls = []
 
     def act(image, now, reading=None):
@@ -124,7 +124,7 @@ def test_an_error_arrives_as_itself_and_the_next_image_is_checked(threads):
         ] and calls == [1.0, 2.0]
 
 
-def test_one_that_hangs_is_unknown_until_it_answers():
+def test_a_blocked_pipeline_reports_unknown_until_it_answers():
     go = threading.Event()
     answered = threading.Event()
     seen = []

@@ -55,7 +55,7 @@ def test_touch_in_my_scene(capsys):
 
 
 @pytest.mark.slow
-def test_turn_an_edge(capsys):
+def test_example_turn_an_edge(capsys):
     example = run("turn_an_edge")
     assert example.before.kind == "edge"
     # along its rows a mesh of 21 x 16 vertices bends only there, and an edge may be classified as
@@ -158,7 +158,7 @@ def code_lines(name):
     "name, maximum",
     [("touch_in_my_scene", 18), ("touch_in_robosuite", 39), ("touch_in_dm_control", 39)],
 )
-def test_a_newcomers_script_is_short(name, maximum):
+def test_a_first_script_is_short(name, maximum):
     assert len(code_lines(name)) <= maximum
 
 
@@ -177,7 +177,7 @@ def test_two_sensors_on_an_arm():
 
 
 @pytest.mark.slow(10)
-def test_firmer_in_the_air(tmp_path):
+def test_example_firmer_in_the_air(tmp_path):
     """The pressure goes from 0.6 to 2 kPa while an egg is held, and the force stays right."""
     scenario = mjtactile.Scenario(
         controller=str(FOLDER / "firmer_in_the_air.py"), effects="-images"
@@ -303,7 +303,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
     assert all("stale" in status for status in reported - {"ok"})
 
 
-def test_train_a_policy_recovers_the_teacher():
+def test_train_a_policy_reproduces_the_teacher():
     """The fit recovers a linear teacher; an input that never changed gets no weight."""
     example = run("train_a_policy")
     rng = np.random.default_rng(0)

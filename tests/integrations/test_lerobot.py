@@ -53,7 +53,7 @@ class NewestFrame:
         self.closed = True
 
 
-def test_a_finger_of_a_rig_file_on_anybodys_robot(monkeypatch):
+def test_a_finger_of_a_rig_file_on_another_robot(monkeypatch):
     """LeRobot makes the camera from its options: size and rate are the rig file's, and a picture
     is handed out once."""
     from lerobot.cameras import make_cameras_from_configs

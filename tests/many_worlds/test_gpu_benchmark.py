@@ -57,7 +57,7 @@ def test_random_actions_are_counted():
     assert (found["control_steps"], found["failed_fraction"]) == (40, 0.0)
 
 
-def test_parts_without_time_are_named():
+def test_unmeasured_parts_are_named():
     speed = {"worlds": 4096, "control_steps_per_s": 1e5, "memory_GB": 2.0, "held_N": 0.6}
     text = table(
         {
@@ -89,7 +89,7 @@ def test_pairs_of_an_interrupted_run_are_not_run_again(tmp_path):
     assert not PairedGrasps("block", "no device", file, batch=2, workers=1).done
 
 
-def test_a_world_that_did_not_follow_a_command_follows_the_next_one():
+def test_a_world_that_missed_a_command_follows_the_next_command():
     """At 50 mm/s and 30 Hz, an action of 1 is 1.667 mm."""
     actions = np.zeros((4, 3))
     grasp = Grasp(actions, np.array([[0.030, 0.001], [0.029, 0.002]]), 0.6, "held")

@@ -192,7 +192,7 @@ def test_unsupported_options_are_refused_in_one_line(how, text):
 
 
 @pytest.mark.slow
-def test_a_reset_of_some_worlds_leaves_the_others_alone():
+def test_a_reset_of_some_worlds_does_not_change_the_others():
     many = worlds(2, object="block", autoreset_mode="Disabled")
     many.reset(seed=1)
     for _ in range(3):

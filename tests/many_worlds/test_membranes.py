@@ -206,7 +206,7 @@ def test_unsupported_membranes_are_refused():
         Membranes("dense", 1, grid=(61, 46), device="cpu")
 
 
-def test_a_world_that_fails_keeps_its_state_and_disturbs_no_other():
+def test_a_failed_world_keeps_its_state_and_does_not_affect_the_others():
     rows = [("sphere", (0.01,), (0, 0), UPRIGHT)] * 4
     alone, force, *_ = pressed(rows, 1e-3)
     kept = alone.fields.u.numpy().copy()
@@ -235,7 +235,7 @@ def test_a_world_that_fails_keeps_its_state_and_disturbs_no_other():
 
 
 @pytest.mark.slow(10)
-def test_a_reset_is_the_rest_of_the_cpu():
+def test_a_reset_equals_the_equilibrium_on_the_cpu():
     membranes, *_ = pressed([("sphere", (0.01,), (0, 0), UPRIGHT)], 2e-3)
     membranes.reset()
     empty = membranes.geoms.numpy().copy()

@@ -62,7 +62,7 @@ def test_friction_carries_the_weight(held):
     assert -contact[:, 1].sum() == pytest.approx(held.object.mass * GRAVITY, rel=0.03)
 
 
-def test_object_hardly_slips(held):
+def test_a_held_object_slips_less_than_half_a_millimeter(held):
     slip = (
         ground_truth.object_position(held) - ground_truth.gripper_position(held) - held.grasped_at
     )
@@ -70,7 +70,7 @@ def test_object_hardly_slips(held):
     assert np.linalg.norm(slip) < 0.5e-3
 
 
-def test_contact_forces_are_those_that_mujoco_states_one_by_one(held):
+def test_contact_forces_are_sums_of_mujocos(held):
     """In W, on the geoms of each membrane; sums of the same numbers, to rounding."""
     data = held.data
     buffer = np.zeros(6)
@@ -100,7 +100,7 @@ def test_penetration_is_a_small_fraction_of_the_indentation(held):
         assert ground_truth.penetration(held, i) < 0.03 * indentation, sensor.prefix
 
 
-def test_pressure_rises_alike_in_both_chambers(held):
+def test_pressure_rises_equally_in_both_chambers(held):
     for sensor in held.sensors:
         sensor.update()
     left, right = (sensor.gauge_pressure for sensor in held.sensors)
@@ -276,7 +276,7 @@ def test_two_membranes_hold_a_plate_by_friction():
     assert world.drop < 3e-4  # drop in m: the membranes shear under 2 g
 
 
-def test_an_object_rests_on_nothing_but_a_membrane():
+def test_a_membrane_alone_supports_an_object():
     from benchmarks.scenes.stress_scenes import DropWorld, FreeObject
 
     world = DropWorld("paper16", FreeObject("box", 0.015, 0.03), gauge_pressure=500.0, mesh=MESH)
@@ -290,7 +290,7 @@ def test_an_object_rests_on_nothing_but_a_membrane():
 
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
-def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
+def test_a_dropped_weight_comes_to_rest_on_the_membrane(speed):
     """A weight that strikes the membrane with up to 2 m/s loses its energy and is finally carried.
 
     The impact appears in the force; the equilibrium force is the weight.
@@ -321,7 +321,7 @@ def test_a_weight_that_strikes_the_membrane_ends_up_carried(speed):
     assert force == pytest.approx(world.weight, rel=0.02)
 
 
-def test_a_shaken_mount_presses_as_a_still_one_does():
+def test_a_shaken_mount_has_the_force_of_a_fixed_mount():
     from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
     forces = []

@@ -38,7 +38,7 @@ def height(world):
 
 
 @pytest.mark.parametrize("poisson", [0.3, 0.4, 0.45])
-def test_flat_circle_bulges_as_hencky_states(poisson):
+def test_bulge_of_a_flat_circle_is_henckys(poisson):
     world = scene(circle(poisson, law=Law.STVK), MESH)
     pressure = 1e-3 * 300.0 / RADIUS  # p a / E h = 1e-3, the top of the closed form's range
     settle(world, pressure)
@@ -101,7 +101,7 @@ def test_sphere_on_a_pretensioned_circle():
     ) == pytest.approx(1e-3, rel=0.04)
 
 
-def test_markers_ride_on_a_circle():
+def test_markers_follow_a_circular_membrane():
     mesh = make_mesh(0.03, 0.03, 13, 13, outline=circle().frame.outline)
     at = circle().markers.p_SM
     p_SV = mesh.p_SV.copy()
@@ -146,7 +146,7 @@ NEO_HOOKEAN = (
 
 
 @pytest.mark.parametrize(("stretch", "load", "height_ratio"), NEO_HOOKEAN)
-def test_disc_bulges_as_the_exact_neo_hookean_one(stretch, load, height_ratio):
+def test_bulge_of_a_disc_is_the_exact_neo_hookean_solution(stretch, load, height_ratio):
     """Exact discs keep their volume: mu = E/3. A St. Venant-Kirchhoff one is 0.8 to 12 % lower."""
     poisson = 0.499
     load_SI = load * 1e6 / 3 * 3e-4 / RADIUS
@@ -163,7 +163,7 @@ def test_disc_bulges_as_the_exact_neo_hookean_one(stretch, load, height_ratio):
     assert stated == pytest.approx(1 / hookean - 1, abs=0.045)
 
 
-def test_large_stretch_is_flagged_and_small_is_not():
+def test_only_large_stretch_is_flagged():
     world = scene(circle(), (9, 9))
     settle(world, 1500.0)
     assert "stretch" not in world.flags
@@ -172,7 +172,7 @@ def test_large_stretch_is_flagged_and_small_is_not():
     assert f"exceeds {STRETCHED}" in world.flags["stretch"]
 
 
-def test_the_price_of_the_plain_law_is_flagged():
+def test_the_error_of_the_linear_material_law_is_flagged():
     world = scene(circle(law=Law.STVK), (9, 9))
     settle(world, 5.0)
     assert "stretch" not in world.flags

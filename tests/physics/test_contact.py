@@ -89,7 +89,7 @@ def test_force_does_not_depend_on_the_time_step(timestep):
     assert other == pytest.approx(force, rel=0.015)
 
 
-def test_vertices_sense_whatever_has_a_shape_that_is_known():
+def test_vertices_detect_every_geom_of_a_known_shape():
     for indenter in ("sphere:8", "cylinder:0.5", "box:1"):
         assert PressWorld("paper16", Indenter.parse(indenter)).sensors[0].contact == "vertices"
     for name in ("egg", "vial", "strawberry"):

@@ -39,7 +39,7 @@ def press_world(effects, **kwargs):
     )
 
 
-def test_all_off_leaves_no_element_behind():
+def test_with_all_effects_off_no_element_remains():
     off, on = (press_world(effects).model for effects in ({"mesh"}, PHYSICS))
     assert off.ntendon == 0 and on.ntendon == 1
     assert off.na == on.na == 0
@@ -48,7 +48,7 @@ def test_all_off_leaves_no_element_behind():
     assert off.body_mass.sum() < on.body_mass.sum()  # the sheet has no weight left
 
 
-def test_all_off_writes_its_load_once():
+def test_with_all_effects_off_the_load_is_not_overwritten():
     world = press_world({"mesh"})
     sensor = world.sensors[0]
     sensor.open_valve(500.0)
@@ -93,7 +93,7 @@ def test_gravity_of_the_membrane_is_its_weight():
     assert 0.6 * complete < masses[0] - masses[1] < complete
 
 
-def test_follower_pressure_matters_as_its_gate_states():
+def test_the_effect_of_follower_pressure_agrees_with_its_gate():
     """Dead and following load differ to first order in the slope; at p a / E h = 0.05 by a few per
     cent, not more."""
     heights = []
@@ -169,7 +169,7 @@ def test_gates_open_and_close():
     assert "servo dynamics" in choose(replace(DENSE, camera=replace(DENSE.camera, rate=120.0))).on
 
 
-def test_shadows_are_for_steep_membranes_and_grazing_light():
+def test_shadows_need_steep_membranes_and_grazing_light():
     egg = load_object("egg")
 
     def on(design=DENSE, **kwargs):
@@ -200,7 +200,7 @@ def test_a_rig_s_cameras_render_shadows_when_they_are_on(effects, kind):
     ("radius", "force", "measured"),
     [(4e-3, 0.32, 27), (4e-3, 1.2, 39), (8e-3, 1.06, 32), (16e-3, 0.84, 21)],
 )
-def test_slope_beside_a_sphere_is_that_of_the_simulation(radius, force, measured):
+def test_slope_next_to_a_sphere_is_that_of_the_simulation(radius, force, measured):
     """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed
     to that force."""
     slope = np.degrees(activation_rules.deepest(DENSE, (radius, radius), force))
@@ -208,7 +208,7 @@ def test_slope_beside_a_sphere_is_that_of_the_simulation(radius, force, measured
     assert slope == pytest.approx(measured, abs=5)
 
 
-def test_slopes_in_the_limit_of_little_force():
+def test_slopes_in_the_limit_of_small_force():
     """F = 2 pi R T0 sin(t)^2 without gas: a cap of a sphere in a sheet under constant tension."""
     bare = replace(DENSE, chamber=replace(DENSE.chamber, supply_gauge=0.0))
     expected = np.sqrt(1e-4 / (2 * np.pi * 4e-3 * DENSE.membrane.pretension))
@@ -223,7 +223,7 @@ def test_half_extents_are_those_across_the_fingers():
     assert half == pytest.approx((0.027, 0.005))  # y from -20 to 34 mm
 
 
-def test_forcing():
+def test_forced_effects_are_on_or_off():
     on = choose(DENSE, overrides="+bending,-follower_pressure").on
     assert "bending" in on and "follower pressure" not in on
     assert parse("auto") == {}
@@ -268,7 +268,7 @@ def test_a_grasp_estimates_its_own_error():
     assert 1e-5 < estimate.force_error() < 0.1
 
 
-def test_an_effect_is_its_name_and_a_misspelt_one_is_refused():
+def test_an_effect_equals_its_name_and_a_misspelt_name_is_refused():
     assert (
         effects_named(["gas", "LED shading"])
         == {Effect.GAS, Effect.LED_SHADING}

@@ -40,7 +40,7 @@ def test_closed_gas_keeps_p_v_gamma(polytropic_exponent):
     assert gas.temperature == pytest.approx(expected, rel=1e-12)
 
 
-def test_heat_exchange_slides_from_adiabatic_to_isothermal():
+def test_heat_exchange_changes_the_gas_from_adiabatic_to_isothermal():
     fast = ramp(closed(polytropic_exponent=1.4, heat_exchange=1.0), 0.9 * VOLUME, 1e-6)
     slow = ramp(closed(polytropic_exponent=1.4, heat_exchange=1.0), 0.9 * VOLUME, 1e4)
     assert fast == pytest.approx(102325.0 / 0.9**1.4, rel=1e-6)  # 1 us against 1 s
@@ -119,7 +119,7 @@ def test_charging_adiabatically_heats_by_gamma():
     assert gas.temperature == pytest.approx(1.4 * 293.15, rel=2e-3)
 
 
-def test_a_leak_and_a_puncture_lose_the_pressure_and_nothing_else():
+def test_a_leak_and_a_puncture_change_only_the_pressure():
     gas = closed(1000.0, leak_conductance=1e-9)
     amount = gas.amount
     for _ in range(5000):

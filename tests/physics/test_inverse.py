@@ -215,7 +215,7 @@ def test_covariance_is_that_of_errors_sampled_from_prior_and_noise(sensor, truth
 
 
 @pytest.mark.parametrize(("young", "tauter"), [(1.0, 0.01), (1.0, -0.01), (1.06, 0.005)])
-def test_a_membrane_that_is_mounted_otherwise_estimates_shear(young, tauter):
+def test_a_membrane_with_another_mounting_estimates_shear(young, tauter):
     """Twice the pre-stretch's sd off, or both one sd: with all of the bulge's height put down to
     the rubber shear was 14, 13 and 7 % off. The normal force is the pressure's, whatever it is."""
     nominal = load_sensor("dense")
@@ -313,7 +313,7 @@ def test_slopes_reduce_the_error_of_sparse_markers(truth):
     assert seeing < 0.015 < 0.02 < blind
 
 
-def test_a_wrong_slope_is_left_out(truth):
+def test_a_wrong_slope_is_excluded(truth):
     """The other of an ellipse's two normals, or none: neither moves the force."""
     estimator = InverseMembrane(load_sensor("paper16"))
     rest = estimator.rest_state(truth.markers(estimator.design, truth.rest), SUPPLY)

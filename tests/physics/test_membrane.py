@@ -76,7 +76,7 @@ def test_large_bulge_without_pretension_is_cubic(aspect, poisson):
 
 
 @pytest.mark.parametrize("pre_stretch", [1.0, 1.05])
-def test_fine_mesh_is_within_three_per_mille(pre_stretch):
+def test_fine_mesh_is_within_0_3_percent(pre_stretch):
     design = hookean(sensor(1.5, pre_stretch=pre_stretch))
     world = scene(design, mesh=(33, 27))
     a = SHORT / 2
@@ -132,7 +132,7 @@ def test_volume_of_a_known_surface():
     assert volume - 2.4e-5 == pytest.approx(bulge, rel=2e-3)
 
 
-def test_markers_ride_on_the_surface():
+def test_markers_follow_the_surface():
     mesh = make_mesh(0.04, 0.03, 13, 11)
     at = load_sensor("dense").markers.p_SM
     x = mesh.p_SV[:, 0]

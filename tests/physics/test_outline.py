@@ -51,7 +51,7 @@ def top(rubber, c):
 
 
 @SHAPES
-def test_the_map_is_one_to_one_and_knows_its_jacobian(outline):
+def test_the_map_is_one_to_one_and_its_jacobian_is_its_derivative(outline):
     square = np.random.default_rng(0).uniform(-0.999, 0.999, (500, 2))
     plane = outline.plane(square)
     np.testing.assert_allclose(outline.square(plane), square, atol=1e-9)
@@ -167,14 +167,14 @@ def test_sensings_membrane_is_henckys_disc():
     )
 
 
-def test_two_independent_discs_bulge_alike():
+def test_two_independent_discs_have_the_same_bulge():
     # 60 elements are 0.05 % high, and 120 of them 0.01 %
     assert inflated_height(ROUND, 2000.0) == pytest.approx(disc_height(ROUND, 2000.0), rel=1e-3)
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
 @pytest.mark.parametrize("pressure", [100.0, 2000.0])
-def test_the_simulated_membrane_bulges_as_theory_states(design, pressure):
+def test_bulge_of_the_simulated_membrane_agrees_with_theory(design, pressure):
     """Weight and all, which is 2.5 Pa."""
     world = scene(design, (13, 13), gravity=(0, 0, -9.81))
     settle(world, pressure)
@@ -279,7 +279,7 @@ def test_a_surface_is_found_with_its_area_and_volume(design):
     assert surface.area == pytest.approx(area, rel=2e-3)
 
 
-def test_markers_of_the_grid_outside_are_left_out():
+def test_grid_markers_outside_the_outline_are_excluded():
     extent = np.linalg.norm(ROUND.markers.p_SM, axis=1).max() + 1.5 * ROUND.markers.radius
     assert extent < 15e-3 and ROUND.markers.count == 69
     wide = replace(ROUND, frame=Frame(40e-3, 40e-3, shape="circle"))
@@ -288,7 +288,7 @@ def test_markers_of_the_grid_outside_are_left_out():
 
 
 @pytest.mark.parametrize("name", ["round30", "ellipse"])
-def test_the_housing_stands_around_the_outline(name):
+def test_the_housing_surrounds_the_outline(name):
     frame = load_sensor(name).frame
     spec = mujoco.MjSpec()
     spec.worldbody.add_site(name="tip")

@@ -24,7 +24,7 @@ def test_fit_recovers_an_exact_constant_and_refuses_a_shrinking_area():
         AreaCalibration.fit(-dA, 4e4 * dA)
 
 
-def test_calibrated_on_a_cylinder_it_reads_that_cylinder_roughly():
+def test_an_area_calibration_on_a_cylinder_estimates_its_force():
     design = load_sensor("dense")
     calibration = calibrate_area(design)
     # A sealed membrane's area initially grows with the square of depth. A line through it misses by

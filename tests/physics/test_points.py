@@ -38,7 +38,7 @@ def test_a_sharp_object_presses_between_vertices(name, reference, mesh):
 
 
 @pytest.mark.parametrize("indenter", ["sphere:8", "box:10", "cylinder:5"])
-def test_round_objects_and_faces_stay_with_the_vertices(indenter):
+def test_round_objects_and_faces_use_vertex_contacts(indenter):
     """Neither a ball that the mesh resolves nor a face juts out: no sphere moves."""
     world = PressWorld(load_sensor("dense"), Indenter.parse(indenter))
     world.inflate(1000.0, seal=True)
@@ -54,7 +54,7 @@ def test_a_ball_between_vertices_comes_to_rest():
     assert world.press(DEPTH, speed=0.04)
 
 
-def test_spheres_come_back():
+def test_contact_spheres_return_after_unloading():
     world = PressWorld(
         load_sensor("dense"), Indenter.parse(str(MODELS / "wedge.xml")), at=(1e-3, 0.0)
     )

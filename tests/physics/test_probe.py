@@ -69,7 +69,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor,
 
 @pytest.mark.slow(15)
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
-def test_class(capsys, name, kind, sensor, brisk):
+def test_object_is_classified(capsys, name, kind, sensor, brisk):
     """The shipped controller classifies the block; clay needs more travel, since it yields so
     far."""
     mine = (

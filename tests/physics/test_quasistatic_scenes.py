@@ -59,7 +59,7 @@ def applied(world, body):
 PAIR = ball("a", -0.0095, 0, 0.0117, 0.008, 0.020) + ball("b", 0.0095, 0, 0.0117, 0.008, 0.050)
 
 
-def test_each_of_two_balls_is_carried_by_its_weight():
+def test_the_force_on_each_of_two_balls_is_its_weight():
     """At rest the force on each body is its weight; the membrane carries the sum."""
     world = scene(PAIR)
     world.step(1500)
@@ -71,7 +71,7 @@ def test_each_of_two_balls_is_carried_by_its_weight():
     assert "quasistatic" not in world.flags
 
 
-def test_three_balls_of_equal_weight_are_carried_alike():
+def test_three_balls_of_equal_weight_have_equal_forces():
     """The two outer ones of three in a row are mirror images; all carry the same weight."""
     world = scene(
         "".join(
@@ -125,7 +125,7 @@ def test_each_of_two_balls_slides_at_its_own_limit():
 
 
 @pytest.mark.parametrize("apart", [True, False])
-def test_balls_that_are_pushed_apart_are_no_slip_of_both(apart):
+def test_balls_that_are_pushed_apart_do_not_count_as_slip(apart):
     """Two equal balls are moved out and back by 4 mm. Slip is the motion of their mean.
 
     Friction, 0.16 N at 120 N/m, sticks for 1.3 mm on the way out. On the way back it sticks twice

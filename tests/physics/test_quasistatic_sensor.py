@@ -225,7 +225,7 @@ def test_an_object_of_jointed_parts_is_damped_like_a_single_body():
 
 
 @pytest.mark.parametrize("gap", [0.0215, 0.0206, 0.0202, 0.0198, 0.0195])
-def test_pieces_side_by_side_rest(gap):
+def test_adjacent_pieces_rest(gap):
     """A soft object of 12 g is held with 25 times the force that its weight needs, so it rests.
 
     Pieces that take over each other's load are stiffer than one piece alone. Without their damping
@@ -341,7 +341,7 @@ def test_an_object_far_below_the_rim_is_supported_and_named():
 
 
 @pytest.mark.parametrize("name", ["round30", "ellipse"])
-def test_in_a_round_frame_markers_stand_where_sensing_s_membrane_has_them(name):
+def test_markers_in_a_round_frame_agree_with_the_sensing_membrane(name):
     """Whose splines are another method on another grid, right to 1e-5 (test_ritz.py)."""
     design = load_sensor(name)
     world = PressWorld(design, Indenter("sphere", 0.008), effects=QUASISTATIC)

@@ -22,7 +22,7 @@ def gripper_rig(task="lift"):
     return rig, world
 
 
-def test_steps_in_one_go_are_those_one_by_one():
+def test_many_steps_in_one_call_equal_single_steps():
     """Batched steps equal single steps bit for bit, through closing, grip and lift; so do the
     observations of each step."""
     found = []
@@ -107,7 +107,7 @@ def test_a_filled_object_has_the_specified_final_mass():
 
 @pytest.mark.parametrize("leak", [0.0, 1e-12])
 @pytest.mark.parametrize("ahead", [True, False])
-def test_reading_changes_nothing(leak, ahead):
+def test_reading_does_not_change_the_state(leak, ahead):
     """Reading the scene does not change a bit of the result.
 
     This holds for sealed and leaking gas, before and during contact and lift, in batched and single
@@ -151,7 +151,7 @@ def test_a_failure_ends_the_episode_in_that_step():
     rig.close()
 
 
-def test_a_stretch_ends_where_a_disturbance_is_due():
+def test_steps_in_one_call_end_at_the_next_disturbance():
     rig, world = gripper_rig()
     dues = iter([world.time + 3.5 * world.timestep, np.inf, np.inf])
     calls = []

@@ -15,7 +15,7 @@ from mjtactile.sim.sensor import feature_size
 SEEDS = range(120)
 
 
-def test_all_shapes_come_and_stay_within_the_stated_error():
+def test_every_shape_is_sampled_and_its_error_is_within_the_stated_bound():
     samples = [random_object(seed) for seed in SEEDS]
     assert {random.shape for random in samples} == {
         "egg",
@@ -36,7 +36,7 @@ def test_all_shapes_come_and_stay_within_the_stated_error():
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_the_file_is_the_object(seed):
+def test_a_written_file_describes_the_object(seed):
     """Mass, and moments of inertia against those of the hull's own vertices or the primitives; it
     stands where it is put."""
     random = random_object(seed)
@@ -92,7 +92,7 @@ def test_a_file_written_out_is_the_same_object(tmp_path):
     )
 
 
-def test_random_needs_its_number():
+def test_a_random_object_requires_a_seed():
     with pytest.raises(InputError, match="unknown object"):
         load_object("random")
     with pytest.raises(InputError, match="unknown object"):

@@ -105,7 +105,7 @@ def test_a_sinusoid_lags_by_its_loss_angle(frequency):
     assert np.angle(modulus) == pytest.approx(np.angle(expected), abs=5e-3)
 
 
-def test_a_cycle_never_gives_energy():
+def test_a_load_cycle_gains_no_energy():
     """Work done on the sheet over closed paths that end where and as they began."""
     rng = np.random.default_rng(5)
     for softening in (0.0, 0.2):
@@ -142,7 +142,7 @@ def bulge(relaxation, seconds):
     return world.sensors[0]
 
 
-def test_a_bulge_creeps_to_the_height_of_the_lasting_rubber():
+def test_a_bulge_creeps_to_its_long_term_height():
     lasting = bulge(None, 1.0).height_at(0, 0)
     relaxing = Relaxation(((0.5, 0.2),))
     early = bulge(relaxing, 0.12).height_at(0, 0)
@@ -171,7 +171,7 @@ def test_a_membrane_without_relaxation_reports_it(left_out):
 
 
 @pytest.mark.slow
-def test_force_stays_right_while_rubber_fades():
+def test_force_remains_accurate_while_rubber_relaxes():
     """With the relaxation section in the sensor file the force stays right while the rubber
     relaxes.
 

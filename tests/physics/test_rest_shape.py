@@ -72,7 +72,7 @@ def random_as_built(rng):
 
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
-def test_a_sensor_that_is_only_different_is_not_refused(sensor):
+def test_as_built_sensors_are_not_refused(sensor):
     rng = np.random.default_rng(3)
     for seed in range(5):
         references(

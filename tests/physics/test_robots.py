@@ -66,7 +66,7 @@ def tips(world):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_it_starts_open_over_the_object_at_its_grasp_height(name):
+def test_a_robot_starts_open_at_the_grasp_height_of_the_object(name):
     world = make(name)
     p_WS, R_WS = tips(world)
     centre = p_WS.mean(axis=0)
@@ -80,7 +80,7 @@ def test_it_starts_open_over_the_object_at_its_grasp_height(name):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_the_laws_state_where_the_fingertips_are(name):
+def test_the_transmission_laws_predict_the_fingertip_positions(name):
     world = make(name)
     for opening in (0.03, 0.06, 0.09):
         world.place_gripper(opening, 0.02)
@@ -151,7 +151,7 @@ def test_statics_of_a_held_object(name):
     assert ground_truth.object_position(world)[2] > 0.0315 + 0.019
 
 
-def test_actuators_with_a_gain_of_their_own_and_a_pair_of_them(tmp_path):
+def test_actuators_with_individual_gains_and_in_pairs(tmp_path):
     pair = (
         '<general name="{0}" joint="{0}_jaw" biastype="affine" gainprm="40" biasprm="3 -4000 '
         '-60" ctrlrange="0 255"/>'
@@ -192,7 +192,7 @@ def test_a_rig_without_a_lift_holds_its_object(tmp_path):
     assert tips(world)[0][:, 2] == pytest.approx(world.object.grasp_height, abs=1e-4)
 
 
-def test_the_users_defaults_do_not_reach_table_and_object():
+def test_the_users_defaults_do_not_affect_table_and_object():
     world = make("sim_arm", "vial")  # its MJCF disables contact of geoms
     world.step(100)
     assert ground_truth.object_position(world)[2] == pytest.approx(0.025, abs=5e-4)
@@ -298,7 +298,7 @@ def bad(findings):
 
 
 @pytest.mark.parametrize("name", ONE_AND_THE_REST)
-def test_the_doctor_finds_the_shipped_ones_well(name):
+def test_the_doctor_reports_no_fault_of_shipped_robots(name):
     assert bad(examine_simulated(load_sim_rig(name))) == []
 
 
@@ -393,14 +393,14 @@ def test_the_doctor_reports_each_fault(tmp_path, name, model, rig, found):
     ), findings
 
 
-def test_a_finger_has_the_sensor_of_its_own_that_the_file_names():
+def test_a_finger_has_the_sensor_that_the_file_names():
     rig = load_sim_rig("sim")
     left, right = rig.fingers
     world = make(replace(rig, fingers=(left, replace(right, sensor="dense"))))
     assert [sensor.design.name for sensor in world.sensors] == ["paper16", "dense"]
 
 
-def test_tips_on_hinges_meet_the_object_at_its_height_and_not_where_they_are_open():
+def test_hinged_tips_meet_the_object_at_its_height():
     """Tips on bars of 60 mm start higher than the object by the amount that they descend while
     closing.
 
@@ -478,7 +478,7 @@ def test_a_motor_is_refused_with_its_force(tmp_path):
             make(variant(tmp_path, "sim", model=[(servo, text)]))
 
 
-def test_the_doctor_names_the_pad_in_the_chamber_and_possible_advice(tmp_path):
+def test_the_doctor_names_the_pad_in_the_chamber_and_a_remedy(tmp_path):
     pad = '<geom name="pad" type="box" size="0.004 0.01 0.002" pos="-0.006 0 0"/>'
     site = '<site name="left_fingertip"'
     rig = variant(tmp_path, "sim", model=[(site, pad + site)])
@@ -487,7 +487,7 @@ def test_the_doctor_names_the_pad_in_the_chamber_and_possible_advice(tmp_path):
     assert "contype and conaffinity of the geom to 0" in finding.remedy
 
 
-def test_the_doctor_does_not_advise_to_let_the_table_touch_no_sensor(tmp_path):
+def test_the_doctor_does_not_advise_to_exclude_the_table(tmp_path):
     """Without contacts of the table, objects would fall through it."""
     low = '<geom name="bench" type="box" size="0.2 0.2 0.01" pos="0 0 0.02"/>'
     rig = variant(

@@ -116,7 +116,7 @@ def test_an_unstrained_membrane_has_mujocos_own_stiffness():
 
 @pytest.mark.parametrize("pressure", ["500", "6000"])
 @pytest.mark.parametrize("case", CASES, ids=NAMES)
-def test_simulated_bulge_is_the_references(case, pressure):
+def test_simulated_bulge_equals_the_reference(case, pressure):
     world = scene(design_of(case), mesh=(17, 13))
     settle(world, float(pressure))
     # second order: 1 % at 13 x 11 vertices, 0.6 % here
@@ -128,7 +128,7 @@ def test_simulated_bulge_is_the_references(case, pressure):
 @pytest.mark.parametrize(
     ("number", "pressure", "depth"), [(0, "1000", "2"), (0, "4000", "3"), (1, "1000", "2")]
 )
-def test_simulated_press_is_the_references(number, pressure, depth):
+def test_simulated_press_equals_the_reference(number, pressure, depth):
     world = PressWorld(
         design_of(CASES[number]),
         Indenter("sphere", 8e-3),
@@ -155,7 +155,7 @@ def test_a_balloon_that_cannot_hold_its_pressure_reports_it():
 
 @pytest.mark.parametrize("law", Law)
 @pytest.mark.parametrize("case", CASES[:2], ids=NAMES[:2])
-def test_sensings_bulge_is_the_references(case, law):
+def test_sensing_bulge_equals_the_reference(case, law):
     rubber = SplineMembrane(design_of(case, law), (14, 10))
     c = None
     for pressure in (1000.0, 4000.0):
@@ -165,7 +165,7 @@ def test_sensings_bulge_is_the_references(case, law):
         assert height == pytest.approx(case["height_mm"][law][f"{pressure:g}"], rel=3e-4)
 
 
-def test_the_tests_own_membrane_is_the_references():
+def test_the_independent_membrane_equals_the_reference():
     """`ReferenceMembrane`, which other tests judge by, is a third code: linear triangles."""
     d = design_of(CASES[0])
     case = CASES[0]
@@ -186,7 +186,7 @@ def test_the_tests_own_membrane_is_the_references():
 
 
 @pytest.mark.parametrize("case", CASES, ids=NAMES)
-def test_closed_forms_are_as_good_as_they_state(case):
+def test_closed_forms_are_within_their_stated_error(case):
     """M1 is up to 4 % low between the ends where it is exact, M7 within 1.1 %."""
     for law, low, high in ((Law.STVK, -0.04, 0.0), (Law.NEO_HOOKEAN, -0.011, 0.011)):
         for pressure, height in case["height_mm"][law].items():

@@ -55,7 +55,7 @@ def test_a_press_after_sleep_is_the_press_without_it():
     np.testing.assert_allclose(pressed[1][1], pressed[0][1], atol=2e-5)  # the same: 1 % of 2 mm
 
 
-def test_a_valve_that_opens_keeps_it_awake():
+def test_an_open_valve_keeps_the_sensor_awake():
     """Opened right before the look that lets it sleep, when the valve's pressure has not reached
     the sheet yet."""
     world = inflated()
@@ -67,7 +67,7 @@ def test_a_valve_that_opens_keeps_it_awake():
     assert sensor.gauge_pressure == 3000.0
 
 
-def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
+def test_waking_restores_the_state_and_the_model():
     world = inflated()
     sensor = world.sensors[0]
     before = {name: getattr(world.model, name).copy() for name in CHANGED}
@@ -86,7 +86,7 @@ def test_it_wakes_as_it_fell_asleep_and_the_model_is_as_it_was():
         np.testing.assert_array_equal(getattr(world.model, name), value, err_msg=name)
 
 
-def test_asleep_nothing_of_it_is_solved():
+def test_a_sleeping_sensor_has_no_constraints():
     world = asleep()
     model = world.model
     data = world.data
@@ -98,7 +98,7 @@ def test_asleep_nothing_of_it_is_solved():
     assert data.nefc == 0
 
 
-def test_it_wakes_before_it_is_touched():
+def test_a_sensor_wakes_before_contact():
     world = asleep()
     height = AWAY
     while world.sensors[0].is_asleep and height > 0:
@@ -116,7 +116,7 @@ def push(world):
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (15e-3, 10e-3), (-16e-3, 3e-3)])
-def test_it_is_awake_when_a_pin_touches_anywhere(at):
+def test_a_pin_at_any_position_wakes_the_sensor(at):
     world = PressWorld("dense", Indenter.parse("cylinder:1"), at=at, mesh=(11, 9))
     world.inflate(500.0, seal=True)
     world._place(world._touch_height + AWAY)
@@ -138,7 +138,7 @@ def test_it_is_awake_when_a_pin_touches_anywhere(at):
         lambda w: w.set_control(w.model.actuator("carrier").id, 1e-4),
     ],
 )
-def test_it_wakes_when_disturbed(disturb):
+def test_a_disturbance_wakes_the_sensor(disturb):
     world = asleep()
     disturb(world)
     world.step(3)  # the frame's velocity is known a step late

@@ -15,7 +15,7 @@ from mjtactile.sim import ground_truth
 CASE = sample_slip_case(1000)  # an upright cylinder past which both fingers move
 
 
-def test_truth_slides_at_the_speed_of_the_drag():
+def test_ground_truth_slip_speed_is_the_drag_speed():
     world = SlipWorld(load_sensor("dense"), CASE)
     world.inflate(1000.0)
     for _ in world.grip():

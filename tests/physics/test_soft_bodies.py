@@ -239,7 +239,7 @@ def test_bonding_stiffens_the_more_the_flatter_the_block_and_not_without_poisson
     assert free == pytest.approx(E * area * strain, rel=0.04)
 
 
-def test_a_ball_between_plates_is_hertz_as_far_as_its_lattice_goes():
+def test_a_ball_between_plates_is_hertz_to_the_resolution_of_its_lattice():
     ball = SHIPPED["silicone_ball"][0]
     plates = Plates(ball)
     for by in (1e-3, 2e-3):  # of both sides; radii of contact of 2.4 and 3.5 mm in cells of 5.75 mm

@@ -30,7 +30,7 @@ def squeezed(path, opening):
 
 
 @pytest.mark.slow
-def test_a_ball_between_membranes_gives_way_as_under_their_even_pressure(tmp_path):
+def test_a_ball_between_membranes_deforms_as_under_uniform_pressure(tmp_path):
     ball = SHIPPED["silicone_ball"][0]
     text = resources.find("silicone_ball", "models/objects", ".xml").read_text()
     rigid = tmp_path / "rigid.xml"

@@ -21,12 +21,12 @@ def test_the_matrix_is_large_and_its_cases_are_distinct():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", pruned(), ids=lambda case: f"{case.axis}: {case.label}")
-def test_pruned_case(case):
+def test_a_pruned_case_is_ok_flagged_or_refused(case):
     row = run.evaluate(case)
     assert row["outcome"] in ("ok", "flagged", "refused"), row["reason"]
 
 
-def test_a_plain_press_is_plainly_ok():
+def test_a_normal_press_is_ok():
     case = next(c for c in matrix() if (c.axis, c.label) == ("time step", "4 ms"))
     assert run.evaluate(case)["outcome"] == "ok"
 
@@ -79,7 +79,7 @@ def test_a_thick_membrane_and_a_coarse_mesh_are_flagged():
     assert not validity_checks.design_flags(design(), 13, 11)
 
 
-def test_something_that_goes_through_stops_the_run():
+def test_a_body_that_passes_the_membrane_stops_the_run():
     """A sheet of paper at 30 m/s moves its own thickness 600 times in a step: it is never seen in
     contact."""
     world = DropWorld(
@@ -89,7 +89,7 @@ def test_something_that_goes_through_stops_the_run():
         world.step(300)
 
 
-def test_a_body_too_fast_for_the_step_is_flagged():
+def test_a_body_too_fast_for_the_time_step_is_flagged():
     world = DropWorld(
         "paper16",
         FreeObject("sphere", 3e-3, 0.05),

@@ -122,7 +122,7 @@ def test_wrong_young_modulus_is_absorbed_by_the_rest_state():
     assert bench.estimate(x)[0][2] == pytest.approx(-0.6, abs=0.02)
 
 
-def test_flat_membrane_estimates_nothing_and_springs_of_a_flat_membrane_cancel():
+def test_flat_membrane_estimates_zero_and_its_springs_cancel():
     design = load_sensor("dense")
     estimator = MembraneForce(MembraneModel(design))
     flat = design.markers.p_SM

@@ -56,7 +56,7 @@ def pairs(model, data, sensor, **how):
         yield data, twin
 
 
-def test_with_the_same_tolerance_it_is_mj_step_bit_for_bit():
+def test_with_the_same_tolerance_step_is_bit_identical_to_mj_step():
     model, data, sensor = scene()
     for ours, theirs in pairs(model, data, sensor, first_tolerance=model.opt.tolerance):
         np.testing.assert_array_equal(state(model, ours), state(model, theirs))
@@ -65,7 +65,7 @@ def test_with_the_same_tolerance_it_is_mj_step_bit_for_bit():
 
 
 @pytest.mark.parametrize(("tolerance", "left"), [(1e-7, 2e-4), (1e-10, 1e-5)])
-def test_without_the_first_solve_it_is_mj_step_to_the_tolerance(tolerance, left):
+def test_without_the_first_solve_step_equals_mj_step_within_the_tolerance(tolerance, left):
     """The step equals mj_step within the tolerance.
 
     Two solutions with different starts differ by the tolerance's effect. The limit in m/s is four
@@ -100,7 +100,7 @@ def test_a_free_body_is_not_in_the_second_solve():
         'integrator="discrete" solver="PGS"',
     ],
 )
-def test_under_other_options_it_is_mj_step(option):
+def test_under_other_options_step_is_mj_step(option):
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><option {option}/><worldbody><geom type="plane" size="1 1 .1"/>
         <body pos="0 0 0.1"><freejoint/><geom type="box" size=".05 .03 .02"/></body></worldbody></mujoco>""")
     ours = mujoco.MjData(model)

@@ -93,7 +93,7 @@ def test_shear_of_a_drag_is_that_of_a_membrane_that_sticks():
     assert ground_truth.contact_force(world, 0)[0] == pytest.approx(DRAGGED, rel=0.08)
 
 
-def test_sticking_does_not_give_way():
+def test_a_sticking_contact_does_not_yield():
     """With friction that never slips, the shear is the sheet's alone: the same at any step."""
     shears = []
     for timestep in (2e-3, 8e-3):

@@ -69,7 +69,7 @@ def test_a_push_changes_momentum_by_its_impulse():
     assert MASS * velocity(world)[2] == pytest.approx(0.02 - MASS * 9.81 * flight, abs=8e-4)
 
 
-def test_a_shaken_gripper_is_gravity_that_shakes_and_is_itself_again_afterwards():
+def test_a_shaken_gripper_is_simulated_by_gravity_and_restored_afterwards():
     direction = (0.6, 0.0, 0.8)
     world = world_with(event("shake", 0.1, 1.0, direction, acceleration=4.0, rate=2.0, tilt=0.0))
     seen = []
@@ -82,7 +82,7 @@ def test_a_shaken_gripper_is_gravity_that_shakes_and_is_itself_again_afterwards(
     np.testing.assert_array_equal(world.model.opt.gravity, [0, 0, -9.81])
 
 
-def test_a_gripper_that_turns_keeps_gravitys_size():
+def test_a_turning_gripper_keeps_the_magnitude_of_gravity():
     world = world_with(event("shake", 0.0, 1.0, acceleration=0.0, rate=2.0, tilt=math.radians(30)))
     advance(world, 0.5)
     gravity = world.model.opt.gravity
@@ -118,7 +118,7 @@ def test_friction_that_falls_raises_the_required_grip(effects):
     assert scorer.friction_sum() == pytest.approx(0.4)
 
 
-def test_one_side_that_gets_wet_leaves_the_other_dry():
+def test_water_on_one_side_does_not_change_friction_of_the_other():
     """Only the named contact side has the new coefficient. The object's own coefficient is at most
     that of the wet side, since MuJoCo uses the larger one of a pair."""
     world = build_rig(Scenario(object="vial", effects="-mesh")).scene
@@ -204,7 +204,7 @@ def test_the_gripper_follows_the_path_of_the_task(rig):
     assert schedule.due() == math.inf
 
 
-def test_a_path_that_ends_elsewhere_has_the_stand_there_too():
+def test_a_path_to_another_position_has_a_stand_at_its_end():
     """The cup of an egg is at the start and, by the path, at its end; none after a way back."""
     away = GripperPath.of([Segment(0.0, 0.2, 0.0, 0.0, 0.3, 2.0, 0.0)])
     world = GraspWorld("paper16", "egg", mesh=MESH, path=away)
@@ -327,7 +327,7 @@ def test_an_object_that_slides_out_of_a_closed_gripper_is_not_handed_over(
     )  # of steps of 3 ms
 
 
-def test_the_need_is_coulombs_for_a_grip_in_the_middle():
+def test_required_grip_is_coulombs_for_a_centered_grip():
     """The required grip force at the vial's center of mass is m g / (2 mu), independent of the grip
     force.
 

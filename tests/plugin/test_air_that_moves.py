@@ -26,7 +26,7 @@ BOUNCE = 0.4  # time in s that the ball swings and the membrane drags after a pr
         *((fault, None) for fault in ("valve to ambient", "valve to 2 kPa", "puncture")),
     ],
 )
-def test_force_stays_right_or_is_unknown(fault: str, mass: float | None) -> None:
+def test_force_is_accurate_or_unknown(fault: str, mass: float | None) -> None:
     model, data, finger = scene(mass)
     errors(model, data, finger, BEFORE)
     FAULTS[fault](finger)
@@ -45,7 +45,7 @@ def reading(pressure: float, time: float, *, is_open: bool = False) -> PressureR
     return PressureReading(pressure, 5.0, time, is_open)
 
 
-def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
+def test_noise_of_the_pressure_sensor_is_averaged_and_leaks_are_tracked() -> None:
     """Against the closed form of a sealed volume that loses a share of its gas."""
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
@@ -64,7 +64,7 @@ def test_a_gauge_s_noise_is_averaged_and_its_leak_is_followed() -> None:
         assert sd < maximum
 
 
-def test_a_gauge_s_scale_is_uncertain_far_from_where_it_was_zeroed() -> None:
+def test_scale_error_of_the_pressure_sensor_grows_away_from_its_zero() -> None:
     """The pressure sensor's scale adds uncertainty far from its zero: half a percent of the 1 kPa
     that a valve has released, and nothing at the rest pressure."""
     chamber = mjtactile.load_sensor("dense").chamber
@@ -80,7 +80,7 @@ def test_a_gauge_s_scale_is_uncertain_far_from_where_it_was_zeroed() -> None:
     assert vented**2 - at_rest**2 == pytest.approx(5.0**2, rel=0.02)
 
 
-def test_a_reading_that_is_known_already_changes_nothing() -> None:
+def test_a_repeated_reading_does_not_change_the_estimate() -> None:
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
     state = follow.start(Gas(1000.0, (chamber.ambient + 1000.0) * 24e-6), 0.0, 24e-6)

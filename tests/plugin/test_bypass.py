@@ -31,7 +31,7 @@ def run(geom, z, pad="", seconds=0.4, **attaching):
 
 
 @pytest.mark.parametrize("effects", [PHYSICS | CAMERA, QUASISTATIC], ids=["mesh", "quasi-static"])
-def test_a_load_on_the_pad_behind_the_membrane_is_flagged_with_its_newtons(effects):
+def test_a_load_on_the_pad_behind_the_membrane_is_flagged_with_its_force(effects):
     """A pad 1.5 mm behind the membrane carries the part of the weight that the membrane does
     not. The flag has one digit after the point."""
     with pytest.warns(UserWarning, match="objects can rest on 'pad' of its carrier"):

@@ -33,7 +33,7 @@ def test_a_ball_on_the_membrane_is_weighed_and_nothing_is_flagged():
         finger.flags["mine"] = "frozen"  # type: ignore[index]
 
 
-def test_a_weight_on_the_frame_is_flagged_with_its_newtons():
+def test_a_weight_on_the_frame_is_flagged_with_its_force():
     design = mjtactile.load_sensor("dense")
     rim = design.frame.length / 2 + design.frame.rim / 2
     model, data, finger = scene('<geom size="0.02" mass="0.5"/>', x=rim, z=0.1215)

@@ -71,7 +71,7 @@ def test_an_option_changed_after_bind_is_refused(bound, name, value):
     mjtactile.step(model, data, [finger])
 
 
-def test_a_finger_is_given_once_and_is_a_finger(bound):
+def test_duplicate_fingers_and_other_types_are_refused(bound):
     _, _, model, data, finger = bound
     with pytest.raises(InputError, match="fingers: each finger must be given once"):
         mjtactile.step(model, data, [finger, finger])
@@ -194,7 +194,7 @@ def test_names_next_to_a_scenario_are_refused():
         GraspEnv(scenario=mjtactile.Scenario(effects=SYNTHETIC), object="cube")
 
 
-def test_an_environment_names_each_misuse():
+def test_an_environment_reports_each_misuse():
     env = GraspEnv(effects=SYNTHETIC)
     for copied in COPIES:
         with pytest.raises(InputError, match="GraspEnv: cannot be copied or pickled"):

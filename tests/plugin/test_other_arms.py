@@ -71,7 +71,7 @@ def test_the_ball_is_carried_and_estimated(held):
         np.testing.assert_allclose(finger.touch.traction.wrench[:3], force, atol=0.03)
 
 
-def test_nothing_of_a_sensor_touches_the_robot_that_carries_it(held):
+def test_a_sensor_does_not_touch_the_robot_that_carries_it(held):
     names = [
         [held.model.geom(geom).name for geom in pair if geom >= 0]
         for pair in held.data.contact.geom

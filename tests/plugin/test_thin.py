@@ -81,7 +81,7 @@ PEGS = {
 
 
 @pytest.mark.parametrize("peg", PEGS)
-def test_a_peg_is_estimated_whatever_holds_it(peg):
+def test_a_peg_is_estimated_in_every_attachment(peg):
     spec, mount = scene(PEGS[peg])
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -160,6 +160,6 @@ def test_a_face_smaller_than_the_frame_is_flagged_with_its_numbers():
     assert 0.3 < pressed.force / 0.20 < 1.4
 
 
-def test_a_mesh_too_coarse_to_sense_with_is_refused_where_it_is_given():
+def test_a_mesh_too_coarse_for_sensing_is_refused():
     with pytest.raises(InputError, match=r"mesh.*\(7, 5\)"):
         scene(mesh=(7, 5))

@@ -45,14 +45,14 @@ def loaded():
     return s
 
 
-def test_a_weight_is_estimated_though_it_lay_there_when_the_sensor_was_bound(loaded):
+def test_a_weight_present_at_binding_is_estimated(loaded):
     touch = loaded.fingers[0].touch
     assert touch.touching
     assert touch.force_normal == pytest.approx(0.05 * G, abs=0.03)  # guaranteed in any scene
     assert not loaded.fingers[1].touch.touching
 
 
-def test_mujocos_own_sensors_state_the_same(loaded):
+def test_mujoco_sensors_report_the_same_values(loaded):
     for finger in loaded.fingers:
         touch = finger.touch
         np.testing.assert_array_equal(
@@ -93,7 +93,7 @@ def test_images_are_rendered_when_they_are_due():
     assert finger.touch.age <= 1 / finger.design.camera.rate
 
 
-def test_after_a_reset_everything_is_as_it_was():
+def test_a_reset_restores_the_initial_state():
     s = scene(ON_THE_SENSOR)
     run(s, 0.3)
     first = s.fingers[0].touch.force_normal
@@ -128,7 +128,7 @@ def test_a_forgotten_step_is_reported_and_not_estimated():
         run(s, 0.1)
 
 
-def test_a_loop_of_ones_own_estimates_the_same():
+def test_a_user_loop_has_the_same_estimates():
     one = scene(ON_THE_SENSOR)
     other = scene(ON_THE_SENSOR)
     run(one, 0.2)
@@ -140,7 +140,7 @@ def test_a_loop_of_ones_own_estimates_the_same():
     assert other.fingers[0].touch.force_normal == one.fingers[0].touch.force_normal
 
 
-def test_a_state_that_means_nothing_stops_the_scene():
+def test_an_invalid_state_stops_the_scene():
     s = scene()
     run(s, 0.02)
     s.data.qvel[0] = np.nan
@@ -148,7 +148,7 @@ def test_a_state_that_means_nothing_stops_the_scene():
         run(s, 0.1)
 
 
-def test_bad_use_is_one_line():
+def test_misuse_is_reported_in_one_line():
     s = scene()
     with pytest.raises(InputError, match="other data"):
         mjtactile.step(s.model, mujoco.MjData(s.model), s.fingers)
@@ -166,7 +166,7 @@ def test_bad_use_is_one_line():
 @pytest.mark.parametrize(
     "option", [{}, {"impratio": 50.0}, {"density": 1.2, "viscosity": 2e-5}, {"timestep": 2e-3}]
 )
-def test_a_scenes_own_options_do_not_spoil_the_force(option):
+def test_options_of_a_scene_do_not_change_the_force(option):
     spec = mujoco.MjSpec.from_string(SCENE.format(height=ON_THE_SENSOR))
     mjtactile.configure_options(spec)
     for name, value in option.items():

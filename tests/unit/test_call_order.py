@@ -140,7 +140,7 @@ def test_a_pipeline_needs_references():
         pipeline.shape([])
 
 
-def test_a_closed_recorder_writes_no_more(tmp_path):
+def test_a_closed_recorder_does_not_write(tmp_path):
     with mjtactile.Recorder(tmp_path / "run", {}) as recorder:
         recorder.note(first=1)
     recorder.note(second=2)

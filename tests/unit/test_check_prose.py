@@ -5,7 +5,7 @@ from pathlib import Path
 from tools import check_prose
 
 
-def test_a_private_sentence_raises_the_measures(tmp_path):
+def test_words_to_avoid_raise_the_measures(tmp_path):
     bad = tmp_path / "bad"
     bad.mkdir()
     (bad / "a.py").write_text(
@@ -75,7 +75,7 @@ def write():
     assert first == ["The force, N."]
 
 
-def test_the_list_of_verbs_has_no_double_and_no_noun_of_a_quantity():
+def test_the_list_of_verbs_has_no_duplicate_and_no_noun():
     words = (Path(check_prose.__file__).with_name("docstring_verbs.txt")).read_text().split()
     assert words == sorted(set(words))
     # such a first word would hide "Force, N." or "Height of the membrane, m."

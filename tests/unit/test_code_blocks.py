@@ -43,7 +43,7 @@ TESTED = {
     (
         "docs/how-to/studio.md",
         0,
-    ): "studio/test_user_scene.py::test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site",
+    ): "studio/test_user_scene.py::test_the_documented_loop_accepts_local_connections_only",
     (
         "docs/how-to/integrations.md",
         0,
@@ -130,7 +130,7 @@ RUN = [row for row in PYTHON if row[:2] not in TESTED and row[:2] not in PARSED]
 
 
 @pytest.mark.parametrize(("page", "number", "text"), RUN, ids=names(RUN))
-def test_python_runs(page, number, text, tmp_path, monkeypatch):
+def test_python_blocks_run(page, number, text, tmp_path, monkeypatch):
     write_fake_recording(tmp_path / "runs" / "grasp" / "recording", count=5)
     monkeypatch.chdir(tmp_path)
     exec(compile(text, page, "exec"), {"__name__": "__main__"})
@@ -140,7 +140,7 @@ PARSED_ROWS = [row for row in PYTHON if row[:2] in PARSED]
 
 
 @pytest.mark.parametrize(("page", "number", "text"), PARSED_ROWS, ids=names(PARSED_ROWS))
-def test_python_parses(page, number, text):
+def test_python_blocks_parse(page, number, text):
     ast.parse(text, page)
 
 
@@ -194,7 +194,7 @@ def test_commands_in_the_text_have_the_options_that_it_states(page):
 
 
 @pytest.mark.parametrize("page", sorted({page for page, _ in SHELL}))
-def test_a_block_of_a_shell_runs(page, tmp_path):
+def test_shell_blocks_run(page, tmp_path):
     command = f'mjtactile() {{ {shlex.quote(sys.executable)} -m mjtactile "$@"; }}\nset -e\n'
     for number in sorted(number for there, number in SHELL if there == page):
         text = next(

@@ -31,7 +31,7 @@ def test_a_kind_that_is_not_clear_is_printed_with_reserve(probability, misfit, r
 @pytest.mark.parametrize(
     ("area_mm2", "spacing_mm", "resolved"), [(37, 2.2, False), (80, 2.2, True), (5, 1.25, True)]
 )
-def test_few_cells_of_a_coarse_mesh_do_not_resolve_a_kind(area_mm2, spacing_mm, resolved):
+def test_a_contact_of_few_cells_has_no_kind(area_mm2, spacing_mm, resolved):
     """An egg of 0.18 N touches eight cells of the default mesh, and resembles a disc of 3 mm."""
     shape = ContactShape("flat", dict.fromkeys(SHAPES, 0.0) | {"flat": 1.0}, area=area_mm2 * 1e-6)
     shape = replace(shape, misfit=1.0)

@@ -165,7 +165,7 @@ def anchors(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_somewhere(page):
+def test_links_have_existing_targets(page):
     for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#?([^)]*)\)", page.read_text()):
         path = page.parent / target if target else page
         assert path.exists(), target
@@ -304,7 +304,7 @@ def test_links_of_the_pages_in_the_wheel_stay_in_the_wheel(page):
         ),
     ],
 )
-def test_numbers_are_those_of_the_pages_that_the_benchmarks_wrote(page, block, benchmark, table):
+def test_quoted_results_equal_the_benchmark_pages(page, block, benchmark, table):
     text = (CHECKOUT / page).read_text()
     written = found(rf"<!-- bench:{block} -->\n(.*?)<!-- /bench -->", text)
     # else: mjtactile bench BLOCK --readme
@@ -326,7 +326,7 @@ def test_the_index_of_benchmarks_has_every_page_and_each_page_its_sections():
         assert f"`mjtactile bench {name} --readme`" in text
 
 
-def test_the_readme_shows_five_numbers_and_fits_150_lines():
+def test_the_readme_has_five_results_in_150_lines():
     readme = (CHECKOUT / "README.md").read_text()
     assert sum(number.headline for number in readme_table.NUMBERS) == 5
     assert len(readme.splitlines()) <= 150
@@ -348,7 +348,7 @@ REPORTED_ONCE = {
 @pytest.mark.parametrize(
     ("reported", "quantity"), REPORTED_ONCE.items(), ids=REPORTED_ONCE.values()
 )
-def test_no_page_states_another_number(reported, quantity):
+def test_no_page_contradicts_a_quoted_result(reported, quantity):
     """No sentence states a number other than the measured one; tables come from benchmarks and name
     their measurement."""
     rows = readme_table.run(Path())["numbers"]

@@ -45,7 +45,7 @@ def run_python(code):
     ).stdout
 
 
-def test_the_import_itself_needs_the_standard_library_alone():
+def test_the_import_needs_only_the_standard_library():
     foreign = run_python("""
 import sys
 before = set(sys.modules)

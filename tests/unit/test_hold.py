@@ -49,7 +49,7 @@ def test_a_hanging_object_is_weighed_for_any_finger_axes(mass, acceleration):
     np.testing.assert_allclose(found.fraction, [2 / 3, 1 / 3])
 
 
-def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
+def test_the_standard_deviation_of_a_weight_is_that_of_its_errors():
     rng = np.random.default_rng(1)
     errors = []
     for _ in range(2000):
@@ -64,7 +64,7 @@ def test_the_error_bar_of_a_weight_is_as_wide_as_its_errors():
     assert 0.0005 < found.sd < 0.0015  # 60 g to 1 g
 
 
-def test_a_hold_bounds_friction_from_below_and_a_slip_states_it():
+def test_a_hold_bounds_friction_from_below_and_a_slip_measures_it():
     held = grasp_estimation.estimate_friction([touch(0.3, 0.4, 1.0), touch(0.0, 0.2, 1.0)])
     assert held.minimum == pytest.approx(0.5 - 2 * held.sd[0]) and math.isnan(held.slipped)
     slid = grasp_estimation.estimate_friction(
@@ -75,13 +75,13 @@ def test_a_hold_bounds_friction_from_below_and_a_slip_states_it():
     assert empty.minimum == 0.0 and np.isnan(empty.used).all()
 
 
-def test_a_grip_is_as_hard_as_coulomb_asks():
+def test_required_grip_follows_coulombs_law():
     # 100 g on two fingers of friction 0.5: 0.981 N each
     assert grasp_estimation.min_grip_force(0.1, 0.5, 2) == pytest.approx(0.981)
     assert grasp_estimation.min_grip_force(0.1, 0.5, 2, acceleration=-5.0) == pytest.approx(1.481)
 
 
-def test_the_table_is_distinguished_from_a_load_that_it_took_over():
+def test_the_support_force_distinguishes_hanging_and_standing_objects():
     held = [(0.0, -0.3), (0.0, -0.3)]
     assert grasp_estimation.support_force([touch(0, -0.3, 1.0)] * 2, held) == pytest.approx(
         -0.3
@@ -162,7 +162,7 @@ def test_a_grip_that_does_not_change_determines_nothing():
     assert math.isnan(grasp_estimation.evaluate_slip_test([0.8, math.nan] * 6, [0.4] * 12).fraction)
 
 
-def test_unknown_is_not_zero():
+def test_an_unknown_force_gives_an_unknown_weight():
     both = [touch(0, 0, 1.0), UNKNOWN]
     assert np.isnan(grasp_estimation.shear(both)).tolist() == [[False, False], [True, True]]
     assert math.isnan(grasp_estimation.estimate_weight(both, np.zeros((2, 2))).mass)
@@ -245,7 +245,7 @@ def test_an_announced_push_adds_to_the_weight_and_not_to_itself():
     assert load.expected(2, 0.3, 0.0) == pytest.approx(load.worst)
 
 
-def test_a_load_that_has_gone_is_kept_for_a_second_and_a_half():
+def test_a_removed_load_is_kept_for_1_5_seconds():
     """A load that has vanished decays with a time constant of 1.5 s, since half of a shake is
     light."""
     heavy = [touch(0, -0.6, 1.0)] * 2
@@ -264,7 +264,7 @@ def test_a_sliding_object_keeps_its_weight():
     assert load.maximum == pytest.approx(0.3)
 
 
-def test_a_weight_is_an_average_over_seven_tenths_of_a_second():
+def test_the_weight_is_averaged_over_0_7_seconds():
     hangs = [touch(0, -0.3, 1.0)] * 2
     heavier = [touch(0, -0.6, 1.0)] * 2
     load = grasp_estimation.LoadEstimator().hanging(hangs).after(hangs, 1 / 30)
@@ -314,7 +314,7 @@ def test_opposite_shears_of_the_fingers_are_no_load():
         (math.nan, 0.4, math.inf),
     ],
 )
-def test_no_harder_grip_is_of_use_where_the_jaws_push_on_frames(effort, time, maximum):
+def test_grip_force_is_limited_when_the_jaws_load_the_frames(effort, time, maximum):
     estimated = [touch(0.0, -0.2, normal) for normal in (0.9, 1.1)]
     frames = grasp_estimation.FrameLoadEstimator()
     for _ in range(round(30 * time)):

@@ -25,7 +25,7 @@ def test_fails():
     tries.append(1)
     assert 0, "too late"
 
-def test_by_no_clock():
+def test_without_a_clock():
     assert 0
 """
 
@@ -44,7 +44,7 @@ def outcomes(pytester, monkeypatch):
     return run
 
 
-def test_failures_on_a_computer_that_stands_still_are_undecided_and_reported(outcomes):
+def test_failures_during_stolen_time_are_undecided_and_reported(outcomes):
     result = outcomes(1e3)  # stolen time per attempt, s
     result.assert_outcomes(passed=2, skipped=1, failed=1)  # test_fails_once at its second try
     result.stdout.fnmatch_lines(
@@ -67,5 +67,5 @@ def test_too_many_undecided_are_a_failure(pytester, monkeypatch):
         assert result.ret == code
 
 
-def test_on_ones_own_computer_a_failure_is_one(outcomes):
+def test_without_stolen_time_a_failure_counts(outcomes):
     outcomes(0).assert_outcomes(passed=1, failed=3)

@@ -143,7 +143,7 @@ def test_a_short_scene_is_estimated_within_its_error_bars():
     assert np.abs(z).max() < 5  # asked of every image
 
 
-def test_pieces_are_kept(tmp_path, monkeypatch):
+def test_finished_pieces_are_kept(tmp_path, monkeypatch):
     calls = []
 
     def rows(seed):

@@ -77,7 +77,7 @@ def test_a_table_replaces_the_text_between_its_markers(tmp_path):
         page_of_table("other")
 
 
-def test_the_rigs_bench_goes_on_where_it_was_interrupted(tmp_path):
+def test_an_interrupted_rig_benchmark_resumes(tmp_path):
     from benchmarks.rig.run import _Store
 
     calls = []

@@ -38,7 +38,7 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     assert lines[-1] == "| y | 0.020 / 0.02 | 0.020 / 0.02 |"
 
 
-def test_strengths_are_near_their_names_and_the_same_again():
+def test_fault_strengths_match_their_levels_and_are_reproducible():
     found = list(kinds(5))
     assert found == list(kinds(5)) and found != list(kinds(6))
     assert {kind.when for kind in found} == {ALWAYS, RUN, REFERENCES}

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.commissioning import commissioning_steps as first_day
 
 
-def test_grasps_that_were_made_are_not_made_again(tmp_path, monkeypatch):
+def test_finished_grasps_are_not_repeated(tmp_path, monkeypatch):
     made = []
 
     def grasp(day, sensor, file, seed, where):
@@ -27,7 +27,7 @@ def test_grasps_that_were_made_are_not_made_again(tmp_path, monkeypatch):
     assert found["worst_N"] == pytest.approx(0.03) and "seconds" in found
 
 
-def test_recordings_for_fit_are_not_made_again(tmp_path, monkeypatch):
+def test_finished_recordings_for_fit_are_not_repeated(tmp_path, monkeypatch):
     made = []
 
     def record(design, stage, recorder, seconds, seed):

@@ -29,7 +29,7 @@ def test_counted_operations():
     assert denormals.count(Keeper({"a": [tiny], "b": Keeper(tiny)})) == 3
 
 
-def test_the_shipped_sensors_have_none():
+def test_shipped_sensors_have_no_denormals():
     for name in ("dense", "paper16"):
         design = load_sensor(name)
         assert (

@@ -24,7 +24,7 @@ def test_signs_are_counted_by_the_utilization_over_the_coefficient():
     assert np.isnan(found["signs"][place[0.7]]).all()
 
 
-def test_answers_need_ten_changes_of_the_grip():
+def test_estimates_need_ten_changes_of_the_grip():
     """Sticking contacts keep their shear: the ratio of both changes is small."""
     few = frequencies([[row(0.5, NONE, harder=0.2, more=0.02)] * 9])["answers"]
     assert few == {"sticking": None, "sliding": None}

@@ -26,7 +26,7 @@ def write(tmp_path, text, name="mine.toml"):
     return tmp_path / name
 
 
-def test_those_that_come_along_can_be_read_and_use_every_motion():
+def test_shipped_references_can_be_read_and_use_every_motion():
     cases = load_cases()
     assert {case.motion for case in cases} >= set(MOTIONS) - {"bulge"}
     assert all(case.about and case.source and case.percent + case.minimum > 0 for case in cases)
@@ -68,7 +68,7 @@ def test_an_indenter_of_several_geoms_presses_with_all(tmp_path):
     assert 1.2 * forces[0] < forces[1] < 2 * forces[0]
 
 
-def test_a_reference_that_is_missed_is_reported(tmp_path):
+def test_a_missed_reference_is_reported(tmp_path):
     write(tmp_path, BULGE.replace("2.45", "2.9"))
     result = run.run(tmp_path, notify=lambda _: None, cases=tmp_path)
     assert (result["met"], result["numbers"]) == (0, 1) and (tmp_path / "references.png").exists()

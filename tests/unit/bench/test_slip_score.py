@@ -41,7 +41,7 @@ def frames(speed, detected_at, used=0.5, slides=True):
         (2e-3, 0.91, "in time"),
     ],
 )
-def test_slips(speed, detected_at, name):
+def test_slips_are_classified(speed, detected_at, name):
     found = outcome(frames(speed, detected_at))
     assert found.name == name
     assert found.speed == pytest.approx(speed, rel=0.2)  # an image after 0.5 mm

@@ -24,7 +24,7 @@ LEG = {
 
 @pytest.mark.slow(40)
 @pytest.mark.clock
-def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
+def test_a_soak_section_injects_a_fault_and_reads_its_recording(tmp_path):
     bench = soak.SoakBench(tmp_path, leg=10.0, grip=6.0)
     try:
         found = bench.run(0)
@@ -35,7 +35,7 @@ def test_a_leg_grips_breaks_and_is_read_back(tmp_path):
     assert list(tmp_path.iterdir()) == []  # only failed runs are kept
 
 
-def test_every_kind_of_fault_comes_once_before_any_comes_again(tmp_path):
+def test_every_kind_of_fault_occurs_before_any_repeats(tmp_path):
     sampled = [soak.sampled(number, soak.LEG, soak.GRIP) for number in range(2 * len(FAULTS))]
     kinds = [kind for kind, _ in sampled]
     assert (

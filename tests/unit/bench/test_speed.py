@@ -19,7 +19,7 @@ def test_balls_lie_on_their_sensors_and_the_others_sleep():
     assert all(sensor.is_asleep for sensor in sensors.scene(2, loaded=False).sensors)
 
 
-def test_tables():
+def test_tables_have_their_rows():
     text = sensors.table(
         [
             {"sensors": 1, "loaded_ms": 1.5, "asleep_ms": 0.05},

@@ -20,7 +20,7 @@ ROUND = {
 }
 
 
-def test_an_image_is_as_old_as_when_the_page_first_had_it():
+def test_latency_ends_when_the_page_first_has_the_image():
     taken = [100.0 + 0.1 * k for k in range(8)]
     # waited for the page; twice; of nothing
     seen = [(0, 190.0), (4, 100.45), (4, 100.9), (6, 100.67), (7, 100.8), (300, 101.0)]
@@ -45,7 +45,7 @@ def test_the_table_has_medians_and_requirements():
     assert len({line.count("|") for line in text.split("\n\n")[0].splitlines()}) == 1
 
 
-def test_without_a_browser_it_reports_it(tmp_path, monkeypatch):
+def test_a_missing_browser_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "CHROMIUM", None)
     with pytest.raises(InputError, match="apt-get install chromium"):
         run.run(tmp_path, quick=True, notify=lambda _: None)

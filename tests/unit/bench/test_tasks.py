@@ -102,7 +102,7 @@ def test_weights_are_compared_with_the_requirement():
 
 
 @pytest.mark.parametrize(("follows", "counts"), [(1.0, True), (0.0, False)])
-def test_a_sign_of_slip_counts_unless_the_shear_stays(follows, counts):
+def test_a_slip_event_counts_unless_the_shear_remains(follows, counts):
     """A grip of 0.8 N that is changed by 5 % at 4 Hz, "slipping" all the while: of force, and of a
     torque alone."""
     for torque in (False, True):

@@ -85,7 +85,7 @@ def photos(tmp_path_factory):
     return folder
 
 
-def test_known_intrinsics_come_back(photos, tmp_path, capsys):
+def test_known_intrinsics_are_recovered(photos, tmp_path, capsys):
     out = tmp_path / "camera.yaml"
     assert main(["calibrate", "camera", str(photos), "--out", str(out), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -126,7 +126,7 @@ def test_a_board_that_was_never_tilted_is_refused():
     assert any("tilted" in reason for reason in calibrate_camera(finder, views, SIZE).reasons)
 
 
-def test_too_few_images_of_the_middle_are_refused(tmp_path, capsys):
+def test_too_few_images_of_the_center_are_refused(tmp_path, capsys):
     for i, pose in enumerate(poses(5, spread=0.1)):
         cv2.imwrite(str(tmp_path / f"{i}.png"), image(*pose, seed=i))
     out = tmp_path / "camera.yaml"
@@ -168,7 +168,7 @@ def test_bad_input_names_the_field(arguments, words, capsys):
     assert all(word in text for word in words), text
 
 
-def test_live_views_are_taken_when_the_board_rests_somewhere_new():
+def test_live_views_are_stored_when_the_board_rests_at_a_new_pose():
     finder = BoardFinder(BOARD)
     still = [image(*pose, seed=i) for i, pose in enumerate(poses(3))]
     frames = [still[0], still[1], still[1], still[1], still[2], still[2], still[1], still[1]]
@@ -182,7 +182,7 @@ def test_live_views_are_taken_when_the_board_rests_somewhere_new():
 
 
 @pytest.mark.clock(9)
-def test_live_through_a_stream(photos, tmp_path, capsys):
+def test_live_calibration_reads_a_stream(photos, tmp_path, capsys):
     """The driver of a network camera, the stream's JPEG, the guided choice of views: the same
     camera."""
     images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(photos.glob("*.png"))]

@@ -64,7 +64,7 @@ def exact_view(pose, camera=CAMERA, noise_px=0.02, seed=0):
     return BoardView(str(seed), ids[inside], uv[inside])
 
 
-def test_intrinsics_and_k3_come_back_from_ellipses_centres():
+def test_intrinsics_and_k3_are_recovered_from_ellipse_centers():
     views = [exact_view(pose, seed=k) for k, pose in enumerate(poses(12))]
     fit = calibrate_from_circles(FINDER, views, SIZE)
     # 12 views of 90 points at 0.02 px: sd of the focal length is 0.04 px, by OpenCV's own
@@ -84,7 +84,7 @@ def test_intrinsics_and_k3_come_back_from_ellipses_centres():
 
 
 @pytest.mark.parametrize("model", ["rational_polynomial", "equidistant"])
-def test_other_lens_models_come_back(model):
+def test_other_lens_models_are_recovered(model):
     """Projected within 0.1 px of the truth wherever circles were: 1000 points at 0.02 px. The
     coefficients of a rational polynomial are not unique, their projection is."""
     truth = replace(CAMERAS[model], fx=500.0, fy=505.0)
@@ -109,7 +109,7 @@ def test_k3_is_left_out_where_the_images_do_not_show_it():
     assert calibrate_from_circles(FINDER, views, SIZE).lens.coefficients[4] == 0
 
 
-def test_a_grid_is_numbered_with_gaps_and_strangers():
+def test_a_grid_is_numbered_with_missing_and_false_circles():
     rng = np.random.default_rng(0)
     places, circles = board((0.4, -0.5, 0.6), (0.0, 0.0, 0.12))
     uv = optics.project(CAMERA, np.array([c.p_C for c in circles]))
@@ -128,7 +128,7 @@ def test_a_grid_is_numbered_with_gaps_and_strangers():
     assert abs(abs(np.linalg.det(solved[:2])) - 1) < 1e-9
 
 
-def test_the_command(tmp_path, capsys):
+def test_the_command_writes_the_camera_file(tmp_path, capsys):
     """Three images are too few for a good result, but enough to write the rejections and their
     reasons."""
     for k, pose in enumerate(poses(3)):

@@ -53,7 +53,7 @@ def readings(offset=4e-4, scale=1.01, backlash=3e-4, noise=1e-5):
     )
 
 
-def test_offset_scale_and_backlash_come_back():
+def test_offset_scale_and_backlash_are_recovered():
     fit = calibrate_opening(*readings())
     for name, true in (("offset", 4e-4), ("scale", 1.01), ("backlash", 3e-4)):
         # of their own standard deviations
@@ -74,7 +74,7 @@ def test_a_bad_opening_is_refused_with_its_reason(changes, word):
     assert any(word in reason for reason in calibrate_opening(*readings(**changes)).reasons)
 
 
-def test_lines_for_the_rig_file_put_the_caliper_right():
+def test_lines_for_the_rig_file_reproduce_the_caliper_values():
     """With the new lines a servo's position means the opening that the caliper showed (play
     aside)."""
     reported, direction, measured = readings(noise=0.0)
@@ -92,7 +92,7 @@ def test_lines_for_the_rig_file_put_the_caliper_right():
         assert better.opening(ticks) == pytest.approx(4e-4 + 1.01 * opening, abs=2 * RADIUS * TICK)
 
 
-def test_force_factor_and_friction_come_back():
+def test_force_factor_and_friction_are_recovered():
     reported = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     fit = calibrate_force(reported, 0.8 * reported - 0.15)
     assert (fit.factor, fit.offset) == (
@@ -238,7 +238,7 @@ def test_current_to_force_of_jaws_on_a_bus(hurry):
 
 
 @pytest.mark.clock
-def test_jaws_that_meet_nothing_are_no_calibration(hurry):
+def test_jaws_without_contact_give_no_calibration(hurry):
     with (
         servo_bench() as bench,
         Mechanism(bench.servos),
@@ -264,7 +264,7 @@ def step(offset=10.0, tau=0.06, leak=0.5, reached=1000.0, noise=4.0):
     return t, p + rng.normal(0, noise, len(t)), list(state)
 
 
-def test_a_step_gives_its_numbers_back():
+def test_parameters_of_a_step_response_are_recovered():
     fit = calibrate_valve(*step(), 1000.0)
     assert fit.offset == pytest.approx(10, abs=2)  # mean of 33 samples with 4 Pa
     assert fit.noise_sd == pytest.approx(4, rel=0.4)
@@ -349,7 +349,7 @@ def test_every_rig_file_names_servos_that_can_be_calibrated():
 # --------------------------------------------------------------------------------
 
 
-def test_readings_are_asked_for_until_they_are_numbers(monkeypatch, capsys):
+def test_readings_are_repeated_until_they_are_finite(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("twelve\n12,5\n\n"))
     assert ask("caliper, mm") == 12.5  # a comma is a decimal point to half of the world
     assert "'twelve' is not a number" in capsys.readouterr().err

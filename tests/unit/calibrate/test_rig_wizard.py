@@ -26,7 +26,7 @@ def emulator():
 
 @pytest.mark.slow(10)
 @pytest.mark.clock
-def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkeypatch):
+def test_a_rig_is_created_from_ports_and_streams(tmp_path, emulator, monkeypatch):
     # sooner, on a busy computer
     for name, value in (("BAUDS", (1_000_000,)), ("IDS", range(1, 4)), ("_REPLY_TIME", 0.3)):
         monkeypatch.setattr(f"mjtactile.devices.discovery.{name}", value)
@@ -92,7 +92,7 @@ def test_a_new_rig_from_nothing_but_ports_and_streams(tmp_path, emulator, monkey
     assert "# on each finger" in path.read_text()  # comments stay
 
 
-def test_values_change_where_they_stand():
+def test_values_are_replaced_in_place():
     text = '[a]\nx = 1  # one\nname = "b # c"\n\n[[b.c]]\nx = 2\n[[b.c]]\nx = 3\n'
     new = edited(
         text, {("a", 0, "x"): 5.0, ("b.c", 1, "x"): 7, ("a", 0, "name"): "d", ("b.c", 0, "y"): 1}
@@ -100,12 +100,12 @@ def test_values_change_where_they_stand():
     assert new == '[a]\nx = 5.0  # one\nname = "d"\n\n[[b.c]]\ny = 1\nx = 2\n[[b.c]]\nx = 7\n'
 
 
-def test_a_value_goes_with_its_line():
+def test_removing_a_value_removes_its_line():
     text = "[a]\nx = 1  # one\ny = 2\n"
     assert edited(text, {("a", 0, "x"): None, ("a", 0, "z"): None}) == "[a]\ny = 2\n"
 
 
-def test_a_servo_of_another_model_brings_its_own_torque_and_gain(tmp_path, monkeypatch):
+def test_another_servo_model_sets_its_torque_and_gain(tmp_path, monkeypatch):
     """1.78 N m/A of an XM430 in the lines of an XL330, which has 0.354, made forces five times too
     large."""
     found = SerialPort("/dev/tty9", "/dev/tty9", "", "", 57600, {1: "XL330-M288", 2: "XM430-W350"})
@@ -148,7 +148,7 @@ def test_one_press_in_a_corner_reports_how_an_image_is_flipped(flip, turned):
     assert flip_of(bulged - flat) is None
 
 
-def test_a_flipped_camera_of_a_rig_file_is_turned_over(tmp_path):
+def test_a_flipped_camera_of_a_rig_file_is_corrected(tmp_path):
     text = load_rig_file("two_xm430").path.read_text()
     path = tmp_path / "mine.toml"
     path.write_text(edited(text, {("camera", 1, "flipped"): "both"}))

@@ -84,7 +84,7 @@ def test_a_larger_target_is_reached_within_a_few_images_and_without_overshoot(ha
 
 
 @PLANTS
-def test_a_target_that_rises_and_falls_does_not_add_up(hardness, lag, delay):
+def test_a_target_that_rises_and_falls_does_not_accumulate(hardness, lag, delay):
     """What is no longer needed is withdrawn: ten rises by 0.2 N leave the force below the largest
     target plus the 10 % of a step."""
     targets = np.concatenate([np.repeat([0.18, 0.3], 75), np.tile([0.5, 0.3], 10)])

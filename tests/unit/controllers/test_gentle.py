@@ -89,7 +89,7 @@ def test_jaws_blocked_by_an_unsensed_object_stop():
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless", "adaptive"])
 @pytest.mark.parametrize("minimum", [0.0, 0.022])
-def test_jaws_at_their_own_stop_have_closed_on_nothing(controller, minimum):
+def test_jaws_at_their_end_stop_hold_no_object(controller, minimum):
     """The three-fingered hand closes to 22 mm: until now the approach waited there for a minute."""
     its_step = load_controller(controller).step
     limits = CommandLimits(opening=(minimum, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
@@ -128,7 +128,7 @@ def test_an_upward_force_while_lowering_is_the_table(controller, up, stops):
     assert not stops or command.lift_height > 0.015
 
 
-def test_a_moment_without_touch_or_sight_is_no_loss():
+def test_a_short_loss_of_contact_or_image_is_not_a_lost_object():
     command = run(Command(0.04, 4.0, 0.02, "hold"), (touch(0.0),) * 2, 6)
     assert command.phase == "hold"
     assert run(command, (touch(0.6),) * 2, 6).memory["lost_time"] == 0.0
@@ -137,7 +137,7 @@ def test_a_moment_without_touch_or_sight_is_no_loss():
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
-def test_an_object_that_stands_early_is_released(controller):
+def test_an_object_that_reaches_the_table_early_is_released(controller):
     """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down
     until the time was over."""
     its_step = load_controller(controller).step

@@ -43,7 +43,7 @@ def test_a_broken_file_is_refused_when_the_controller_is_loaded(tmp_path, monkey
     importlib.util.find_spec("onnxruntime") is None or importlib.util.find_spec("onnx") is None,
     reason="needs onnx and onnxruntime",
 )
-def test_the_same_as_onnx(tmp_path, monkeypatch):
+def test_the_network_equals_onnx(tmp_path, monkeypatch):
     from onnx import TensorProto, helper, save
 
     w = np.random.default_rng(1).standard_normal((30, 3)).astype(np.float32)

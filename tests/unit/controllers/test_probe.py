@@ -22,7 +22,7 @@ def opened(estimated, seconds=20.0):
     return command, seconds
 
 
-def test_a_finger_that_never_releases_ends_it_with_the_reason():
+def test_a_finger_without_release_ends_the_probe_with_a_reason():
     """A constant force of 0.1 N with open jaws ends the probe with that reason.
 
     An uncalibrated sensor five times as stiff as in its file estimates 0.1 N without contact.

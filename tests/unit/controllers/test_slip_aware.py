@@ -53,12 +53,12 @@ def test_a_slip_of_one_finger_raises_the_force_closes_and_stops_the_lift():
     assert slips.lift_height == HELD.lift_height
 
 
-def test_it_grips_no_harder_than_its_limit():
+def test_grip_force_is_at_most_its_limit():
     estimated = (touch(1.5, "slipping"), touch(1.5, "slipping"))
     assert run(HELD, estimated, 60).memory["target"] == STRONGEST
 
 
-def test_before_a_slip_it_grips_harder_little_by_little_as_far_as_it_is_followed():
+def test_before_a_slip_the_grip_increases_in_small_steps_while_the_gripper_follows():
     near = run(HELD, (touch(FIRST, "incipient"),) * 2)
     assert FIRST < near.memory["target"] < FIRST + 0.05
     # the requested force has not been reached yet

@@ -8,7 +8,7 @@ def observe(command: Command, *, opening=0.05, effort=0.0, lift=0.0, time=0.0) -
     return Observation(time, 1 / 30, (), GripperState(opening, 0.0, effort, lift), (), command)
 
 
-def test_it_goes_through_a_grasp_by_effort_and_height():
+def test_touchless_completes_a_grasp_by_effort_and_height():
     command = Command(0.05, 0.0, 0.0, "approach", {})
     seen = []
     opening = 0.05

@@ -75,7 +75,7 @@ def test_a_saved_calibration_is_read_back(tmp_path):
     assert not list(tmp_path.glob("*.part"))
 
 
-def test_it_changes_the_lens_and_nothing_else_of_the_design():
+def test_a_calibration_changes_only_the_lens_of_the_design():
     changed = complete().design(DESIGN)
     assert (changed.camera.fx, changed.camera.cy, changed.camera.distortion[0]) == (
         618.0,
@@ -105,7 +105,7 @@ def test_the_zero_of_the_valve_and_the_scale_of_the_force():
     assert out.gauge_pressure == 970.0
 
 
-def test_a_refused_part_replaces_nothing_and_is_remembered_until_it_succeeds():
+def test_a_refused_part_replaces_no_value_and_is_stored_until_it_succeeds():
     good = complete()
     refused = good.with_refusal("lens", ["too few pictures"])
     assert refused.lens is good.lens and states(refused)["lens"] == "good"
@@ -150,7 +150,7 @@ def test_parts_older_than_the_sensor_file_or_their_inputs_are_not_used():
         ),
     ],
 )
-def test_a_calibration_of_something_else_is_refused(finger, design, words):
+def test_a_calibration_of_another_device_is_refused(finger, design, words):
     with pytest.raises(InputError) as caught:
         complete().check(design, finger, "left.json")
     assert all(word in str(caught.value) for word in ("left.json", *words))

@@ -124,7 +124,7 @@ def test_files_that_opencv_writes(tmp_path):
         assert Camera.from_file(path) == EXPECTED
 
 
-def test_kalibr(tmp_path):
+def test_kalibr_files_are_read(tmp_path):
     camera = read(tmp_path, KALIBR.format(model="radtan", k=D[:4]))
     assert camera == Camera(640, 480, 500.0, 510.0, 320.0, 240.0, (*D[:4], 0.0))
     camera = read(tmp_path, KALIBR.format(model="equi", k=D[:4]))
@@ -183,7 +183,7 @@ def test_without_a_name_the_coefficients_of_opencv_determine_the_model(tmp_path,
         ("just text", ["not a camera file", "Kalibr"]),
     ],
 )
-def test_others_are_refused_with_the_conversion(tmp_path, text, words):
+def test_other_formats_are_refused_with_the_conversion(tmp_path, text, words):
     with pytest.raises(InputError) as caught:
         read(tmp_path, text)
     message = str(caught.value)
@@ -225,7 +225,7 @@ ENTITIES = "<!DOCTYPE z [<!ENTITY a 'x'>]><opencv_storage>&a;</opencv_storage>"
     ],
     ids=lambda text: repr(text[:20]),
 )
-def test_a_file_cannot_hang_the_reader(tmp_path, text):
+def test_a_file_cannot_block_the_reader(tmp_path, text):
     """Sizes double with each alias; brackets recurse. The pytest limit of time is the measure."""
     with pytest.raises(InputError) as caught:
         read(tmp_path, text)

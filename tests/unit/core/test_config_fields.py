@@ -66,7 +66,7 @@ TABLE = {
 }
 
 
-def test_values_are_si_and_written_as_they_stood():
+def test_values_are_si_and_written_unchanged():
     machine = from_table(Machine, TABLE, "a/b.toml")
     assert machine.first == Wheel(10, 0.002) and machine.others == (Wheel(20, 0.004),)
     assert machine.reach == (0.001, 0.008) and machine.turns[0] == pytest.approx(np.pi / 2)
@@ -75,7 +75,7 @@ def test_values_are_si_and_written_as_they_stood():
     assert write(machine) == TABLE
 
 
-def test_a_file_is_beside_the_one_that_names_it():
+def test_a_file_is_searched_next_to_the_file_that_names_it():
     assert str(from_table(Machine, {**TABLE, "manual": "x.pdf"}, "a/b.toml").manual) == "a/x.pdf"
 
 

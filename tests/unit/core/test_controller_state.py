@@ -72,12 +72,12 @@ def test_numbers_texts_lists_and_tables_are_kept(value, kept):
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_all_else_is_left_out_by_name_and_the_rest_stays(value):
+def test_unsupported_values_are_omitted_by_name(value):
     found, left_out = plain({"before": 1.0, "odd": value, "after": math.inf})
     assert found == {"before": 1.0, "after": math.inf}
     assert left_out == (f"odd ({type(value).__name__})",)
 
 
-def test_a_memory_of_very_many_entries_is_cut_off_and_takes_no_time():
+def test_a_memory_of_very_many_entries_is_truncated():
     found, left_out = plain(dict.fromkeys(range(1_000_000), 0.0))
     assert 1_000 < len(found) < ENTRIES_MAX and len(left_out) < 100

@@ -129,7 +129,7 @@ def test_written_values_are_read_again(name):
     assert sensor_from_table(table, name="other", source="other.toml") == round_one
 
 
-def test_optional_section_has_defaults():
+def test_an_optional_section_has_defaults():
     assert build(leds=None).leds.count == 4
 
 
@@ -186,7 +186,7 @@ def test_markers_behind_the_fold_of_a_lens_are_not_in_the_image():
         sensor_from_table(table, name="x", source="x.toml")
 
 
-def test_a_fisheye_sees_more_at_the_same_distance():
+def test_a_fisheye_shows_more_markers_at_the_same_distance():
     """At 17.1 mm behind the glass the edge at x = 17 mm is 45 degrees off the axis: 600 tan = 600 px,
     395 atan = 309 px."""
     fisheye = {"distortion_model": "equidistant", "distortion": [0.0] * 4, "fx_px": 395.0}
@@ -195,6 +195,6 @@ def test_a_fisheye_sees_more_at_the_same_distance():
         sensor_from_table(near_camera(17.8), name="x", source="x.toml")
 
 
-def test_no_distance_helps_a_camera_that_points_elsewhere():
+def test_no_distance_shows_markers_to_a_camera_that_points_elsewhere():
     with pytest.raises(InputError, match="no larger distance shows all: check fx_px"):
         sensor_from_table(near_camera(40.0, cx_px=2000.0), name="x", source="x.toml")

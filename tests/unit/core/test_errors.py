@@ -19,7 +19,7 @@ from mjtactile.devices.dynamixel.servo import ServoFault
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_an_error_crosses_processes_unchanged(error):
+def test_an_error_is_pickled_unchanged(error):
     again = pickle.loads(pickle.dumps(error))
     assert type(again) is type(error) and str(again) == str(error) and vars(again) == vars(error)
     assert again.exit_code == error.exit_code

@@ -34,7 +34,7 @@ def read(fiducials):
     return sensor_from_table({**table(), "fiducials": fiducials}, name="x", source="x.toml")
 
 
-def test_straight_walls_would_hide_the_rim():
+def test_straight_walls_hide_the_rim():
     """The groove behind the lip keeps the circles in view of the camera.
 
     The line of sight to the innermost point of a circle passes the opening's edge behind the lip.
@@ -52,7 +52,7 @@ def test_straight_walls_would_hide_the_rim():
     assert fraction * outside == pytest.approx(design.frame.length / 2)
 
 
-def test_the_groove_is_gas():
+def test_the_groove_is_part_of_the_gas_volume():
     design = load_sensor("dense_fiducials")
     fiducials = design.fiducials
     without = replace(design, fiducials=None)
@@ -74,7 +74,7 @@ def test_written_values_are_read_again():
     assert from_table(Fiducials, write(fiducials), "x.toml") == fiducials
 
 
-def test_a_sensor_without_them_has_the_fingerprint_that_it_had():
+def test_a_sensor_without_fiducials_keeps_its_fingerprint():
     """Calibrations from before there were fiducials hold."""
     assert fingerprint(load_sensor("dense")).startswith("19218ca0f031eb56")
     assert fingerprint(load_sensor("dense_fiducials")) != fingerprint(
@@ -128,6 +128,6 @@ def test_invisible_fiducials_are_refused_in_one_line(changes, field, words):
     assert words in text
 
 
-def test_on_the_glass_they_may_not_hide_the_membrane():
+def test_fiducials_on_the_glass_must_not_hide_the_membrane():
     with pytest.raises(InputError, match="hides part of the membrane"):
         read({**PANE, "positions_mm": [[-10.0, 0.0], *PANE["positions_mm"]]})

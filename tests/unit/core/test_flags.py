@@ -34,7 +34,7 @@ def test_a_check_clears_the_flags_of_its_own_cadence_only():
     assert [found[kind].fraction for kind in ("mesh", "stretch", "sharp_edge")] == [1.0, 0.75, 0.25]
 
 
-def test_a_reason_with_an_amount_grows_and_any_other_stays():
+def test_only_a_reason_with_an_amount_is_updated():
     tracker = FlagTracker(0.0)
     tracker.update(1.0, {"frame_contact": "1 N", "sharp_edge": "an edge"})
     tracker.update(2.0, {"frame_contact": "3 N", "sharp_edge": "another"})
@@ -53,7 +53,7 @@ def test_json_and_pickle_keep_the_time():
         assert read.to_dict() == flag.to_dict()
 
 
-def test_flags_from_before_have_a_new_name_and_no_time():
+def test_flags_of_old_files_have_a_new_name_and_no_time():
     found = read_flags({"edge": "an edge presses"})
     assert found == {"sharp_edge": "an edge presses"}
     assert math.isnan(found["sharp_edge"].fraction) and found["sharp_edge"].when == ""

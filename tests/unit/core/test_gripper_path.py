@@ -12,7 +12,7 @@ def segment(x=None, y=None, z=None, tilt=None, speed=0.2, tilt_speed=1.0, wait=0
     return Segment(x, y, z, tilt, speed, tilt_speed, wait)
 
 
-def test_it_stops_at_each_waypoint_and_keeps_missing_coordinates():
+def test_a_path_stops_at_each_waypoint_and_keeps_missing_coordinates():
     path = GripperPath.of([segment(y=0.2, wait=0.5), segment(x=-0.1, tilt=0.3, wait=0.1)])
     # 0.2 m at 0.2 m/s; then 0.1 m, which takes longer than 0.3 rad at 1 rad/s
     assert path.starts == pytest.approx((0.5, 1.6)) and path.ends == pytest.approx((1.5, 2.1))

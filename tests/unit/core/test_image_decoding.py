@@ -26,7 +26,7 @@ def test_complete_files_are_decoded_exactly():
 
 
 @pytest.mark.parametrize("place", [0, 9, 20, 30, 45, -20, -5])
-def test_any_byte_that_changed_is_found(capfd, place):
+def test_every_changed_byte_is_detected(capfd, place):
     data = bytearray(png(np.zeros((20, 30), np.uint8)))
     data[place] ^= 0x55
     assert decode(bytes(data), cv2.IMREAD_GRAYSCALE) is None

@@ -99,7 +99,7 @@ def test_a_wrong_model_or_count_is_refused(model, coefficients, message):
         Camera(640, 480, 600.0, 600.0, 320.0, 240.0, coefficients, distortion_model=model)
 
 
-def test_half_of_the_view_goes_through_the_lens():
+def test_half_angle_of_view_depends_on_the_lens_model():
     """320 px of a fisheye of 407 px are 45 degrees; of a pinhole, tan = 320/407."""
     plain = Camera(640, 480, 407.4367, 407.4367, 319.5, 239.5)
     np.testing.assert_allclose(plain.half_view, [320 / 407.4367, 240 / 407.4367])

@@ -91,7 +91,7 @@ def raw(gate, head):
     ],
     ids=["another name", "two names", "two origins", "a page", "no name"],
 )
-def test_a_request_that_is_no_connection_of_ours_is_refused(gate, lines):
+def test_an_invalid_request_is_refused(gate, lines):
     head = "\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode()
     assert raw(gate, head).startswith(b"HTTP/1.1 403")
 

@@ -66,7 +66,7 @@ def test_projection_through_the_glass_agrees_with_a_ray_trace():
     np.testing.assert_allclose(trace_to_depth(rays, GLASS, p[:, 2]), p, atol=1e-12)
 
 
-def test_glass_and_lens_together():
+def test_glass_and_lens_are_combined():
     p = points()
     rays = optics.unproject(BOTH, optics.project(BOTH, p))
     # 1e-10 rays over 0.06 m
@@ -86,7 +86,7 @@ def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
     assert shift[1] == pytest.approx(0.80123e-3, abs=1e-8)
 
 
-def test_no_glass_means_no_shift_and_bad_points_are_nan():
+def test_without_glass_there_is_no_shift_and_invalid_points_are_nan():
     assert (optics.glass_shift(LENS, points()) == 0).all()
     assert np.isnan(optics.project(LENS, [[0.0, 0.0, -0.04]])).all()
     # inside the glass, which ends at 25 mm
@@ -94,7 +94,7 @@ def test_no_glass_means_no_shift_and_bad_points_are_nan():
     np.testing.assert_array_equal(optics.project(GLASS, [[0.0, 0.0, 0.04]]), [[319.5, 239.5]])
 
 
-def test_shapes_are_kept():
+def test_array_shapes_are_kept():
     grid = points(24).reshape(4, 6, 3)
     uv = optics.project(BOTH, grid)
     assert uv.shape == (4, 6, 2)
@@ -111,7 +111,7 @@ def test_camera_of_a_design():
     np.testing.assert_array_equal(camera.K, design.camera.K)
 
 
-def test_rotations_and_frames():
+def test_rotations_agree_with_their_frames():
     rng = np.random.default_rng(1)
     w = rng.normal(size=(50, 3))
     w[0] = 0

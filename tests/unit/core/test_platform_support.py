@@ -28,7 +28,7 @@ def all_processors(monkeypatch):
 
 
 @pytest.mark.parametrize(("given", "expected"), [("3", 3), ("1", 1), ("", 6), ("0", 6), ("two", 6)])
-def test_processors_that_the_environment_gives(monkeypatch, given, expected):
+def test_processors_of_the_environment_variable(monkeypatch, given, expected):
     """As in Python 3.13; another text is ignored."""
     without("sched_getaffinity", monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: 6)
@@ -36,15 +36,13 @@ def test_processors_that_the_environment_gives(monkeypatch, given, expected):
     assert platform_support.processors() == expected
 
 
-def test_processors_that_this_process_may_use(all_processors):
+def test_processors_of_the_process_affinity(all_processors):
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     assert platform_support.processors() == allowed
 
 
 @pytest.mark.parametrize(("there", "expected"), [(6, 6), (None, 1)])
-def test_processors_where_the_system_does_not_report_which_are_allowed(
-    monkeypatch, all_processors, there, expected
-):
+def test_processors_without_a_reported_affinity(monkeypatch, all_processors, there, expected):
     without("sched_getaffinity", monkeypatch)
     monkeypatch.setattr(os, "cpu_count", lambda: there)
     assert platform_support.processors() == expected
@@ -72,7 +70,7 @@ def test_memory_is_shared_through_a_descriptor(monkeypatch, has_it):
     os.close(descriptor)
 
 
-def test_the_end_of_a_process_can_be_waited_for_or_there_is_nothing_to_wait_for(monkeypatch):
+def test_a_process_end_has_a_descriptor_where_supported(monkeypatch):
     child = subprocess.Popen(["sleep", "300"])
     end = platform_support.watch_process(child.pid)
     if end is not None:

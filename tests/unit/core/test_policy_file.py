@@ -42,7 +42,7 @@ def test_a_policy_is_the_network_behind_the_scales(tmp_path, name, between):
     np.testing.assert_array_equal(policy(unused), policy(x))
 
 
-def test_a_file_from_before_the_activation_was_written_is_tanh(tmp_path):
+def test_an_old_file_without_an_activation_is_tanh(tmp_path):
     path = tmp_path / "policy.npz"
     np.savez(path, w0=W0, b0=np.ones(8), w1=W1, b1=np.zeros(3))
     x = RNG.normal(size=INPUTS)
@@ -102,7 +102,7 @@ def test_a_wrong_file_is_one_line_when_loaded(tmp_path, arrays, text):
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_file_that_is_no_policy_is_named(tmp_path):
+def test_a_file_of_another_kind_is_named(tmp_path):
     broken = tmp_path / "broken.npz"
     broken.write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(InputError, match="is no numpy archive"):

@@ -75,7 +75,7 @@ def test_a_child_that_ends_reports_how(child):
         process.ask(child, "hello", "the child")
 
 
-def test_ctrl_c_is_not_for_a_child_and_stop_is_in_time(child):
+def test_ctrl_c_does_not_reach_a_child_and_stop_ends_it(child):
     process.ask(child, "hello", "the child")
     os.kill(child.pid, signal.SIGINT)
     assert process.ask(child, "again", "the child")[0] == "again"

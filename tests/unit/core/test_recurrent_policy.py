@@ -99,7 +99,7 @@ def test_a_file_is_the_unit_and_the_layers_behind_the_scales(tmp_path):
         before, vector = vector, RNG.normal(size=N)
 
 
-def test_the_memory_is_in_the_command(tmp_path):
+def test_the_command_contains_the_memory(tmp_path):
     """Same observation, different past, another action; a recording of the memory is complete."""
     path = tmp_path / "policy.npz"
     layers = [(0.05 * w, b) for w, b in LAYERS]
@@ -143,7 +143,7 @@ def test_slip_and_announced_loads_are_named_and_bounded():
         ({"w0": np.ones((5, 30))}, r"layers\[0\]: weights \(5, 30\).*valid: 79 for 2 fingers"),
     ],
 )
-def test_a_wrong_unit_is_one_line(tmp_path, changed, text):
+def test_a_wrong_unit_is_reported_in_one_line(tmp_path, changed, text):
     path = tmp_path / "policy.npz"
     (w0, b0), (w1, b1) = LAYERS
     arrays = dict(w0=w0, b0=b0, w1=w1, b1=b1, activation=np.array("tanh")) | vars(UNIT) | changed

@@ -45,7 +45,7 @@ def test_an_invalid_value_is_reported_in_one_line(section, words):
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_without_keeps_its_fingerprint():
+def test_a_file_without_relaxation_keeps_its_fingerprint():
     """Calibrations made before there was such a section belong to the same files still."""
     design = load_sensor("dense")
     assert fingerprint(design) == fingerprint(replace(design, relaxation=None))
@@ -53,7 +53,7 @@ def test_a_file_without_keeps_its_fingerprint():
     assert fingerprint(relaxing) != fingerprint(design)
 
 
-def test_a_term_a_decade_is_a_straight_line_over_the_logarithm_of_time():
+def test_one_term_per_decade_relaxes_linearly_in_log_time():
     rate = 0.02
     relaxation = Relaxation(decades(rate, 1.0, 1e4))
     times = np.geomspace(1.0, 1e4, 50)

@@ -8,7 +8,7 @@ from mjtactile.core.errors import InputError
 from mjtactile.core.toml import Section
 
 
-def test_no_name_has_two_new_names_and_no_new_name_is_an_old_one():
+def test_old_and_new_names_are_distinct():
     """Seeds are hashes of old keys, so that the table must be invertible."""
     assert len(set(renamed.KEYS.values())) == len(renamed.KEYS)
     assert not set(renamed.KEYS.values()) & set(renamed.KEYS)
@@ -51,7 +51,7 @@ def test_an_old_option_is_refused_with_the_new_one(capsys, words, text):
     assert text in line
 
 
-def test_words_about_an_invalid_value_are_no_old_names(capsys):
+def test_an_error_of_an_invalid_value_names_no_old_name(capsys):
     words = ["press", "--indenter", "sphere:4", "--position-mm", "3"]  # `numbers` was a benchmark
     assert main(words) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()

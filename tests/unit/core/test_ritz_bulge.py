@@ -39,7 +39,7 @@ def test_a_flat_circle_is_henckys():
     assert found == pytest.approx(expected, rel=1e-3)
 
 
-def test_a_taut_ellipse_hangs_under_its_weight():
+def test_a_taut_ellipse_sags_under_its_weight():
     """T lap z = rho g h / l^2: a paraboloid; the weight of 2.5 Pa alone, slopes of 0.001."""
     a, b = ELLIPSE.frame.length / 2, ELLIPSE.frame.width / 2
     membrane = ELLIPSE.membrane
@@ -51,7 +51,7 @@ def test_a_taut_ellipse_hangs_under_its_weight():
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
-def test_it_converges_and_is_the_splines_membrane(design):
+def test_ritz_bulge_converges_to_the_spline_membrane(design):
     heights = [inflated_height(design, 2000.0, degree=degree) for degree in (1, 2, 3, 5)]
     errors = np.abs(np.array(heights[:-1]) / heights[-1] - 1)
     assert (errors[1:] < 0.2 * errors[:-1]).all()

@@ -28,7 +28,7 @@ def five():
     [scaled_clock.sleep, lambda seconds: scaled_clock.Event().wait(seconds)],
     ids=["sleep", "Event"],
 )
-def test_a_fifth_of_the_speed(five, wait):
+def test_clock_at_one_fifth_of_real_time(five, wait):
     wall = time.monotonic()
     slow = scaled_clock.monotonic()
     wait(0.02)
@@ -40,7 +40,7 @@ def test_a_fifth_of_the_speed(five, wait):
     assert scaled_clock.wall(0.02) == pytest.approx(0.1)
 
 
-def test_processes_that_are_started_inherit_it(five):
+def test_child_processes_inherit_the_time_scale(five):
     code = "from mjtactile.core import scaled_clock as pace; print(pace.slow())"
     assert (
         subprocess.run(
@@ -81,7 +81,7 @@ def test_only_the_emulated_rig_is_slow(capsys, arguments):
     assert "--time-scale" in capsys.readouterr().err
 
 
-def test_real_servos_have_a_clock_of_their_own(five):
+def test_real_servos_ignore_the_time_scale(five):
     rig_file = load_rig_file("emulated")
     real = replace(rig_file, bus=replace(rig_file.bus, port="/dev/ttyACM0"), cameras=(), valves=())
     with pytest.raises(InputError, match="ttyACM0: only emulated devices can run slower"):

@@ -6,7 +6,7 @@ from mjtactile.core import signature_checks
 from mjtactile.core.signature_checks import validated
 
 
-def test_two_threads_that_call_a_function_for_the_first_time(monkeypatch):
+def test_two_threads_can_make_the_first_call(monkeypatch):
     """While one thread prepares the checks of a function, another thread may call it.
 
     The first thread waits after it has prepared the first argument. Checks that are stored one by

@@ -18,12 +18,12 @@ FEW = Status(StatusCode.TOO_FEW_MARKERS, "only 3 of 81 markers seen")
 
 @pytest.mark.parametrize("way", [copy.copy, copy.deepcopy, lambda s: pickle.loads(pickle.dumps(s))])
 @pytest.mark.parametrize("status", [OK, FEW])
-def test_text_and_code_stay_together(way, status):
+def test_text_and_code_agree(way, status):
     again = way(status)
     assert again == status and again.code is status.code and type(again) is Status
 
 
-def test_it_is_text_for_json_and_arrays():
+def test_a_status_is_text_in_json_and_arrays():
     assert json.dumps([OK, FEW, FEW.code]) == (
         '["ok", "only 3 of 81 markers seen", "too few markers"]'
     )
@@ -31,7 +31,7 @@ def test_it_is_text_for_json_and_arrays():
     assert f"{FEW}" == "only 3 of 81 markers seen" and repr(OK) == "'ok'"
 
 
-def test_every_touch_has_a_code_even_one_made_with_plain_text():
+def test_every_touch_has_a_status_code():
     touch = Touch(0.0, 0.0, math.nan, math.nan, False)
     assert touch.status.code is StatusCode.OK
     assert replace(touch, status=FEW).status.code is StatusCode.TOO_FEW_MARKERS

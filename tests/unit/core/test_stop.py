@@ -19,7 +19,7 @@ def _handlers_are_as_before():
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_with_nothing_connected_the_first_one_raises_and_its_echo_does_not(number):
+def test_without_a_handler_the_first_signal_raises_and_its_echo_does_not(number):
     with listening() as stop:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
@@ -28,7 +28,7 @@ def test_with_nothing_connected_the_first_one_raises_and_its_echo_does_not(numbe
 
 
 @pytest.mark.parametrize("number", ENDING)
-def test_with_something_connected_it_is_noted_and_raised_when_that_is_over(number):
+def test_with_a_handler_the_signal_is_stored_and_raised_at_its_end(number):
     done = []
     with pytest.raises(Interrupted), deferred() as stop:
         for _ in range(6):
@@ -40,7 +40,7 @@ def test_with_something_connected_it_is_noted_and_raised_when_that_is_over(numbe
     assert done == ["inner", "outer"]
 
 
-def test_a_second_one_after_a_while_means_at_once(monkeypatch):
+def test_a_second_signal_stops_at_once(monkeypatch):
     with pytest.raises(Interrupted), deferred() as stop:
         signal.raise_signal(signal.SIGINT)
         monkeypatch.setattr(signals, "SECOND_TIME", 0.0)
@@ -48,9 +48,7 @@ def test_a_second_one_after_a_while_means_at_once(monkeypatch):
         assert stop.at_once
 
 
-def test_processor_time_that_is_used_up_repeats_itself_and_a_person_after_it_is_the_first(
-    monkeypatch,
-):
+def test_repeated_sigxcpu_does_not_count_as_a_second_signal(monkeypatch):
     monkeypatch.setattr(signals, "SECOND_TIME", 0.0)
     with pytest.raises(Interrupted), deferred() as stop:
         for _ in range(3):
@@ -61,7 +59,7 @@ def test_processor_time_that_is_used_up_repeats_itself_and_a_person_after_it_is_
         assert stop.at_once
 
 
-def test_every_signal_that_would_end_the_process_is_heard():
+def test_every_terminating_signal_is_handled():
     """All signals that end the process are handled, except those in the list.
 
     These cannot be caught, or a program fault raises them, or they end nothing.
@@ -71,7 +69,7 @@ def test_every_signal_that_would_end_the_process_is_heard():
     assert signal.valid_signals() - set(ENDING) == others
 
 
-def test_a_signal_that_the_process_handles_itself_stays_its_own():
+def test_signals_with_a_user_handler_are_unchanged():
     heard = []
     before = signal.signal(signal.SIGUSR1, lambda *_: heard.append(1))
     try:
@@ -88,7 +86,7 @@ def test_an_error_during_the_stop_is_raised():
         _ = 1 / 0
 
 
-def test_it_can_be_acted_on_where_that_does_no_harm():
+def test_a_stored_signal_is_raised_at_a_safe_point():
     signals.check()
     with pytest.raises(Interrupted), deferred():
         signals.check()
@@ -97,7 +95,7 @@ def test_it_can_be_acted_on_where_that_does_no_harm():
         pytest.fail("it went on")
 
 
-def test_a_process_that_was_set_to_ignore_hang_ups_does():
+def test_an_ignored_hang_up_signal_stays_ignored():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with deferred() as stop:
@@ -107,7 +105,7 @@ def test_a_process_that_was_set_to_ignore_hang_ups_does():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_another_thread_sees_the_signals_of_the_main_thread():
+def test_signals_of_the_main_thread_are_visible_in_other_threads():
     seen = []
 
     def work():

@@ -68,7 +68,7 @@ def test_samples_are_within_their_range_in_the_units_of_the_file():
         )
 
 
-def test_masses_are_as_likely_per_doubling():
+def test_masses_are_log_uniform():
     masses = [load_task("weigh").object.mass]
     task = Task("mine", (), object=ObjectRandomization(mass=masses[0]))
     sampled = [math.log(task.sample(seed, 2).mass) for seed in range(400)]
@@ -78,7 +78,7 @@ def test_masses_are_as_likely_per_doubling():
     )
 
 
-def test_one_more_disturbance_leaves_the_others_as_they_were():
+def test_an_added_disturbance_does_not_change_the_others():
     task = load_task("bump")
     assert (
         task.sample(7, 2).events[0]
@@ -86,14 +86,14 @@ def test_one_more_disturbance_leaves_the_others_as_they_were():
     )
 
 
-def test_the_need_is_coulombs_at_the_worst_moment():
+def test_required_grip_is_coulombs_at_the_largest_load():
     sampled = load_task("shake").sample(5, 2)
     shaken = sampled.events[0].values["acceleration"]
     assert sampled.need(0.05, 0.5, 2) == pytest.approx(0.05 * (9.81 + shaken))
     assert sampled.need(0.05, 0.5, 4) == pytest.approx(0.05 * (9.81 + shaken) / 2)
 
 
-def test_the_need_contains_the_second_object_and_the_path():
+def test_required_grip_includes_the_second_object_and_the_path():
     sampled = load_task("stack").sample(5, 2)
     added = sampled.events[0].values["added_mass"]
     assert sampled.need(0.04, 0.5, 2) == pytest.approx((0.04 + added) * 9.81)
@@ -113,12 +113,12 @@ def test_a_direction_of_the_file_is_that_of_every_seed(tmp_path):
         assert task.sample(seed, 2).events[0].direction == pytest.approx((0, 0.6, -0.8))
 
 
-def test_the_need_is_that_of_the_lowest_friction():
+def test_required_grip_is_that_of_the_lowest_friction():
     sampled = load_task("wet").sample(5, 2)
     assert sampled.need(0.04, 0.8, 2) == pytest.approx(0.04 * 9.81 / (2 * 0.35))
 
 
-def test_when_a_person_pulls_with_three_tenths_of_a_newton():
+def test_start_of_a_handover_is_a_pull_of_0_3_newton():
     sampled = load_task("hand-over").sample(5, 2)
     pull = sampled.events[1]
     force = (sampled.pulls() - pull.start) / pull.duration * pull.values["force"]

@@ -56,7 +56,7 @@ def test_a_missing_field_lists_the_present_ones():
         section.text("port")
 
 
-def test_null_is_a_missing_field():
+def test_null_is_read_as_a_missing_field():
     with pytest.raises(InputError, match="missing field"):
         Section({"a": None}, "", "f").number("a", 0, 1)
     assert Section({"a": None}, "", "f").number("a", 0, 1, default=7) == 7

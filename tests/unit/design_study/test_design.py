@@ -33,7 +33,7 @@ def paper16():
     return VirtualBench(load_sensor("paper16"))
 
 
-def test_a_marker_is_known_as_a_circle_of_its_pixels_is(paper16):
+def test_marker_covariance_is_that_of_a_circle_of_its_size(paper16):
     # linear in the noise of a pixel. A circle's radius in the image is proportional to f, and so is
     # the edge length for averaging; a pixel is worth depth / f: f^-3/2 in total
     design = paper16.design
@@ -89,7 +89,7 @@ def test_twice_the_markers_determine_an_edge_by_the_root_of_two_better():
     assert sds[0] / sds[1] == pytest.approx(requested, rel=0.35)
 
 
-def test_place_of_a_force():
+def test_position_sd_of_a_force():
     # 2 N at (3, -1) mm on the plane z = 4 mm: M = r x F; an sd of 1 mN m about y is one of 0.5 mm
     r, force = np.array([3e-3, -1e-3, 4e-3]), np.array([0.0, 0.0, -2.0])
     wrench = np.concatenate([force, np.cross(r, force)])
@@ -110,7 +110,7 @@ def test_a_written_file_is_the_sensor(tmp_path, name):
     assert load_sensor(path) == design
 
 
-def test_front():
+def test_pareto_front():
     # force, edge, markers: the third is beaten by the first in all three, the fourth misses more
     rows = [(1.0, 4.0, 9), (4.0, 1.0, 9), (2.0, 5.0, 9), (0.5, 0.5, 9), (4.0, 2.0, 4)]
     missed = [(), (), (), ("edge",), ()]
@@ -214,7 +214,7 @@ def test_a_search_holds_the_given_camera_and_its_proposals_can_be_fabricated():
     assert design_sweep.longest_lens(only) == pytest.approx(1 / 0.9, rel=0.01)
 
 
-def test_sampled_values_can_be_made():
+def test_sampled_values_can_be_fabricated():
     """Thickness and pitch in steps of 10 um, pressure of 10 Pa, focal length of a pixel."""
     numbers = np.array([0.237, 0.281, 0.871, 0.123, 0.456, 1.0731])
     made = design_sweep.made_of(load_sensor("dense"), numbers)
@@ -242,7 +242,7 @@ def test_a_design_that_fabricate_refuses_is_refused_here():
         buildability.check_camera(VirtualBench(close))
 
 
-def test_the_largest_force_is_known_to_some_percent(monkeypatch, paper16):
+def test_the_largest_force_is_estimated_within_some_percent(monkeypatch, paper16):
     """A sensor that carries 3.3 N is not rated 3.05 or 3.81 N, as on a ladder of steps of 25 %."""
     monkeypatch.setattr(score_module, "_within_tolerance", lambda _, force: force <= 3.3)
     assert score_module.largest_force(paper16) == pytest.approx(3.3, rel=0.02)
@@ -324,7 +324,7 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads)
     assert center["force_sd_mN"] < rim["force_sd_mN"]
 
 
-def test_a_round_sensor_reaches_as_much_where_it_is_turned(capsys):
+def test_rotation_of_a_round_sensor_does_not_change_its_range(capsys):
     predictor = ResolutionPredictor(VirtualBench(load_sensor("round30")))
     place = np.array([5e-3, 2e-3])
     here, opposite = (predictor.at(at, 0.5) for at in (place, -place))

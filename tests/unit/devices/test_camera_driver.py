@@ -142,7 +142,7 @@ def test_a_setting_that_the_camera_ignored_is_refused(prop, largest, name):
     assert device.released
 
 
-def test_time_is_the_kernels(camera):
+def test_image_time_is_that_of_the_kernel(camera):
     image = camera.read()
     assert 0.004 <= scaled_clock.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
 
@@ -153,7 +153,7 @@ def test_a_kernel_clock_that_is_not_the_monotonic_one_is_refused():
         OpenCvCamera(CONFIG, capture=lambda: device)
 
 
-def test_the_newest_image_is_given(camera):
+def test_read_returns_the_newest_image(camera):
     first = camera.read()
     assert camera.wait_newer(first.time, 5.0)
     assert camera.read().time > first.time
@@ -169,7 +169,7 @@ def test_the_newest_image_is_given(camera):
         ("both", lambda grey: np.rot90(grey, 2)),
     ],
 )
-def test_a_flipped_image_is_turned_over(device, flipped, turned):
+def test_a_flipped_image_is_corrected(device, flipped, turned):
     device.mode = "still"
     config = replace(CONFIG, flipped=flipped)
     with contextlib.closing(OpenCvCamera(config, capture=lambda: device)) as camera:
@@ -225,7 +225,7 @@ def test_a_missing_camera_is_named():
         OpenCvCamera(CONFIG, capture=lambda: device)
 
 
-def test_another_size_than_asked_for_is_an_error():
+def test_an_image_size_other_than_requested_is_an_error():
     device = V4l2()
     device.view = lambda: np.zeros((24, 32, 3), np.uint8)
     with pytest.raises(DeviceError, match="32 x 24 pixels"):
@@ -272,7 +272,7 @@ def test_a_stream_over_http_is_read(fourcc):
         server.close()
 
 
-def test_a_stream_that_is_no_jpeg_reports_it(device):
+def test_a_stream_without_jpeg_images_is_reported(device):
     config = CameraConfig(
         "left", "rtsp://there", 64, 48, 5.0, backend="ffmpeg", timestamps="arrival", fourcc="MJPG"
     )
@@ -281,7 +281,7 @@ def test_a_stream_that_is_no_jpeg_reports_it(device):
         OpenCvCamera(config, capture=lambda: device)
 
 
-def test_a_cycle_starts_with_an_image_and_never_waits_for_long(device):
+def test_a_cycle_starts_with_an_image_or_after_the_time_limit(device):
     """The loop's clock wakes up when a picture has come, at the latest half a period after the time
     asked for."""
     camera = OpenCvCamera(CONFIG, capture=lambda: device)
@@ -329,7 +329,7 @@ class Beat:
 
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.6, 0.9])
 @pytest.mark.parametrize("rate", [0.98, 1.0, 1.02])
-def test_the_loop_falls_into_step_with_its_camera(rate, phase, monkeypatch):
+def test_the_loop_synchronizes_with_its_camera(rate, phase, monkeypatch):
     """The loop synchronizes with its camera from any phase: each image is taken on arrival, once.
 
     Neither has exactly its stated rate.

@@ -119,7 +119,7 @@ def die(bench, jaws, gripper):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_gripper_that_squeezes_never_squeezes_harder(kind):
+def test_grip_force_does_not_increase_after_the_host_stops(kind):
     """After the host's death the grip force never exceeds the limit that the host had set.
 
     Braking or continuing, it is that limit (a unit of current, 0.03 N, less). With limp servos it
@@ -137,7 +137,7 @@ def test_a_gripper_that_squeezes_never_squeezes_harder(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_gripper_on_its_way_stops_by_itself(kind):
+def test_a_moving_gripper_stops_without_its_host(kind):
     """A moving gripper stops within 10 mm of the last opening that the host received.
 
     The command was to close by 72 mm, and nothing is between the jaws.
@@ -154,7 +154,7 @@ def test_a_gripper_on_its_way_stops_by_itself(kind):
             assert jaws.opening == pytest.approx(known - LEAD, abs=2 * RADIUS * 2 * math.pi / 4096)
 
 
-def test_firmware_that_stops_nothing_is_reported(caplog):
+def test_firmware_without_a_stop_is_reported(caplog):
     with caplog.at_level(logging.WARNING), gripper_rig("goes on", touch=0.0):
         pass
     assert [

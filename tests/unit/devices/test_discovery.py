@@ -63,7 +63,7 @@ def test_formats_of_a_camera(tmp_path):
     assert list(formats_of(tmp_path / "video7", kernel())) == []
 
 
-def test_cameras_by_the_name_that_stays(tmp_path):
+def test_cameras_are_listed_by_their_persistent_name(tmp_path):
     for number, index, name in (
         (0, 0, "Left camera"),
         (1, 1, "Left camera"),

@@ -23,7 +23,7 @@ def findings(**kind):
 
 
 @pytest.mark.clock
-def test_settings_and_firmware_that_make_a_dead_host_dangerous():
+def test_settings_and_firmware_without_host_supervision_are_reported():
     sound, moving = findings()
     assert [finding.level for finding in sound] == ["ok"]
     bad = [finding.text for finding in moving if finding.level == "bad"]

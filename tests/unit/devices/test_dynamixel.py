@@ -38,7 +38,7 @@ def names_written(bench, servo=1):
 # --------------------------------------------------------------------------------
 
 
-def test_the_sdks_tables_are_read():
+def test_control_tables_of_the_sdk_are_read():
     table = load_table("xl330_m288")
     assert (table["Goal Current"].address, table["Goal Current"].size) == (102, 2)
     assert (
@@ -67,7 +67,7 @@ def test_models_without_goal_current_are_refused_by_name(number):
 
 
 @pytest.mark.clock
-def test_recipe_in_its_order(bench):
+def test_connect_writes_settings_in_the_documented_order(bench):
     with_gripper(bench, lambda gripper: None)
     written = names_written(bench)
     first_on = [i for i, name in enumerate(written) if name == "Torque Enable"][1]
@@ -83,7 +83,7 @@ def test_recipe_in_its_order(bench):
 
 
 @pytest.mark.clock
-def test_no_moment_with_torque_and_without_limit_or_watchdog(bench):
+def test_torque_is_enabled_after_limit_and_watchdog(bench):
     """A host that dies while it connects: whatever packet was its last, the servo is off, or
     watched and weak."""
     states = []
@@ -109,7 +109,7 @@ def test_no_moment_with_torque_and_without_limit_or_watchdog(bench):
 @pytest.mark.parametrize(
     ("name", "value"), [("Homing Offset", 200), ("Startup Configuration", 1), ("Drive Mode", 8)]
 )
-def test_settings_that_make_a_dead_host_dangerous_are_refused(bench, name, value):
+def test_settings_without_host_supervision_are_refused(bench, name, value):
     bench.servos[2].set(name, value)
     with pytest.raises(DeviceError, match=rf"servo 2 .*{name} is {value} .* must be 0"):
         bench.gripper()
@@ -117,7 +117,7 @@ def test_settings_that_make_a_dead_host_dangerous_are_refused(bench, name, value
 
 
 @pytest.mark.clock
-def test_firmware_without_the_startup_register_is_taken(bench, monkeypatch):
+def test_firmware_without_the_startup_register_is_accepted(bench, monkeypatch):
     from mjtactile.emulator.registers import Registers
 
     monkeypatch.setattr(
@@ -139,7 +139,7 @@ def with_gripper(bench, act):
 
 
 @pytest.mark.clock
-def test_a_setting_that_does_not_take_is_refused(bench, monkeypatch):
+def test_a_setting_that_the_servo_rejects_is_an_error(bench, monkeypatch):
     monkeypatch.setattr(
         EmulatedServo,
         "_apply",
@@ -166,7 +166,7 @@ def test_a_servo_without_goal_current_is_refused_at_connect(bench):
 
 
 @pytest.mark.clock
-def test_a_latched_error_is_reported_and_never_rebooted_away(bench):
+def test_a_latched_error_is_reported_without_a_reboot(bench):
     bench.servos[2].raise_error(0x20)
     with pytest.raises(ServoFault, match=r"servo 2 .* overload"):
         bench.gripper()
@@ -188,7 +188,7 @@ def test_a_tripped_watchdog_is_cleared_at_connect(bench):
     assert bench.servos[1].get("Bus Watchdog") != 0xFF
 
 
-def test_the_turn_is_found_after_power_up():
+def test_the_number_of_turns_is_found_after_power_up():
     """A full turn away the jaw would be at 36 + 75 mm; only one turn puts it between the stops."""
     config = GripperConfig(
         (0.0, 0.12), (ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=-1000),)
@@ -239,7 +239,7 @@ def test_command_returns_the_sent_values_and_the_servos_have_them(bench):
 
 
 @pytest.mark.clock
-def test_steps_below_a_tick_add_up(bench):
+def test_steps_below_a_tick_accumulate(bench):
     """1 um a cycle, where a tick is 18 um: after 100 cycles the goal is 0.1 mm further."""
 
     def act(gripper):
@@ -304,7 +304,7 @@ def test_a_table_that_cannot_be_inverted_is_refused():
 
 
 @pytest.mark.clock
-def test_lift_moves_from_where_it_stood():
+def test_lift_moves_from_its_initial_position():
     with servo_bench("XM430-W350", 1) as bench:
         gripper = GripperConfig(
             (0.0, 0.12), (ServoConfig(1, "XM430-W350", per_rad=0.024, zero_ticks=0),)

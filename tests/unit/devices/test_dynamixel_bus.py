@@ -35,7 +35,7 @@ def test_group_read_keeps_the_alert_byte(bench, bus, fast):
 
 @pytest.mark.clock
 @pytest.mark.parametrize("fast", [False, True])
-def test_group_read_states_who_did_not_answer(bench, bus, fast):
+def test_group_read_names_servos_without_an_answer(bench, bus, fast):
     bench.faults.set("servo_silent", 2)
     replies, failures = bus.read_many([1, 2], POSITION, 4, fast=fast)
     # the first servo's part of the packet has come
@@ -95,7 +95,7 @@ def test_many_threads_share_one_bus(bus):
 
 
 @pytest.mark.clock
-def test_time_outs_are_the_files_and_not_the_sdks(bench):
+def test_time_outs_are_those_of_the_file(bench):
     """The port uses the time-out of the file, on the monotonic clock.
 
     LATENCY_TIMER = 16 makes the SDK wait 34 ms.
@@ -115,7 +115,7 @@ def test_time_outs_are_the_files_and_not_the_sdks(bench):
 
 
 @pytest.mark.clock
-def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
+def test_a_late_reply_is_not_returned_for_the_next_request(bench):
     """It comes 20 ms after the time-out, is intact, from the right servo and as long as the next
     one's."""
     bus = DynamixelBus(bench.bus.path, reply_timeout=0.05)
@@ -131,7 +131,7 @@ def test_a_late_reply_is_not_taken_for_the_next_answer(bench):
 
 
 @pytest.mark.clock
-def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
+def test_byte_stuffing_is_written_and_removed(bench, bus, monkeypatch):
     """The SDK computes the stuffed packet and throws it away. The bytes are compared with the
     emulator's own encoder."""
     sent = []
@@ -153,7 +153,7 @@ def test_stuffing_is_sent_and_undone(bench, bus, monkeypatch):
 
 
 @pytest.mark.clock
-def test_a_refused_write_reports_why(bench, bus):
+def test_a_refused_write_reports_its_reason(bench, bus):
     bench.servos[1].set("Torque Enable", 1)
     with pytest.raises(BusError, match="denies access") as caught:
         bus.write(1, 11, 1, 5)  # EEPROM is locked while torque is on
@@ -161,7 +161,7 @@ def test_a_refused_write_reports_why(bench, bus):
 
 
 @pytest.mark.clock
-def test_the_port_is_opened_alone_and_a_missing_one_is_named(bench, bus):
+def test_the_port_is_opened_exclusively_and_a_missing_port_is_named(bench, bus):
     with pytest.raises(DeviceError, match=bench.bus.path):
         DynamixelBus(bench.bus.path)
     with pytest.raises(DeviceError, match="/dev/no-such-port"):
@@ -186,7 +186,7 @@ def test_another_baud_rate_receives_nothing(bench):
     bus.close()
 
 
-def test_bad_bytes_are_no_replies():
+def test_invalid_bytes_give_no_reply():
     """A seeded 20 kB of noise and damaged packets; `mjtactile bench rig` feeds 10^6 bytes."""
     result = fuzz_servos(20_000)
     assert result["wrong"] == 0 and result["refused"] > 50

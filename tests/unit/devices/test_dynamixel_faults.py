@@ -18,7 +18,7 @@ TICK = 2 * math.pi / 4096
 
 
 @pytest.mark.parametrize("fast", [False, True])
-def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
+def test_a_hardware_error_is_reported_in_the_next_cycle(bench, fast):
     gripper = bench.gripper(fast_sync=fast)
     try:
         gripper.state()
@@ -29,7 +29,7 @@ def test_a_hardware_error_is_seen_in_the_next_cycle(bench, fast):
         gripper.close()
 
 
-def test_a_state_is_of_the_time_it_was_asked_for(bench):
+def test_a_state_has_the_time_of_its_request(bench):
     """A state has the time of its request, and later motion is not in it.
 
     The servos answer while the loop processes its image.
@@ -102,7 +102,7 @@ def test_the_first_reply_on_a_new_port_may_be_lost(bench):
     assert dropped
 
 
-def test_a_damaged_reply_is_asked_for_again_in_the_same_cycle(bench):
+def test_a_damaged_reply_is_requested_again_in_the_same_cycle(bench):
     gripper = bench.gripper(reply_timeout=0.05)
     try:
         before = gripper.state()
@@ -115,7 +115,7 @@ def test_a_damaged_reply_is_asked_for_again_in_the_same_cycle(bench):
         gripper.close()
 
 
-def test_a_brown_out_is_noticed(bench):
+def test_a_brown_out_is_detected(bench):
     gripper = bench.gripper()
     try:
         bench.servos[1].brown_out()
@@ -152,7 +152,7 @@ def test_a_host_that_vanished_is_silence_for_the_watchdog(bench):
     assert wait_for(lambda: not bench.bus.is_busy())
 
 
-def test_keep_alive_rests_when_the_host_is_silent(bench):
+def test_keep_alive_stops_when_the_host_is_silent(bench):
     """The watchdog must be able to trip: 0.25 s after the last call of a running loop nothing is
     sent any more."""
     gripper = bench.gripper(watchdog=0.1)
@@ -173,7 +173,7 @@ def test_torque_is_off_after_close(bench):
     assert [servo.get("Torque Enable") for servo in bench.servos.values()] == [0, 0]
 
 
-def test_torque_goes_off_on_the_others_when_one_motor_fails(bench):
+def test_torque_of_all_motors_is_disabled_when_one_fails(bench):
     gripper = bench.gripper(reply_timeout=0.05)
     bench.faults.set("servo_silent", 1)
     with pytest.raises(DeviceError, match=r"torque of servo 1 .* could not be switched off"):
@@ -182,7 +182,7 @@ def test_torque_goes_off_on_the_others_when_one_motor_fails(bench):
     gripper.close()  # a second time does nothing
 
 
-def test_torque_is_off_when_connecting_fails_half_way(bench):
+def test_torque_is_off_after_a_failed_connection(bench):
     bench.servos[2].angle = 20.0  # out of the gripper's range
     bench.servos[2]._lost_turns = 0.0
     bench.servos[2].follow_load(20.0, 0.0, 0.0, 0.01)

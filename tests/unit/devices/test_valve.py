@@ -89,7 +89,7 @@ def test_closing_vents_every_channel(rig):
 
 
 @pytest.mark.clock
-def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_gone_again(rig):
+def test_the_board_vents_each_time_the_host_is_lost(rig):
     _, valves, firmware, _, _ = rig
     for _ in range(2):
         valves[0].open(1000.0)
@@ -109,7 +109,7 @@ def test_the_board_vents_by_itself_when_the_host_is_gone_and_again_when_it_is_go
     ("fault", "why"),
     [("valve_sensor", "its pressure sensor failed"), ("valve_restart", "has restarted")],
 )
-def test_a_board_with_a_fault_of_its_own_vents_and_reports_why(fault, why):
+def test_a_board_with_an_internal_fault_vents_and_reports_its_reason(fault, why):
     with valve_bench() as (port, firmware, faults, _):
         boards, valves = connect_valves(valve_configs(port.path))
         try:
@@ -124,7 +124,7 @@ def test_a_board_with_a_fault_of_its_own_vents_and_reports_why(fault, why):
 
 
 @pytest.mark.clock
-def test_too_much_pressure_is_let_out():
+def test_excess_pressure_is_vented():
     with valve_bench() as (port, firmware, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
         try:
@@ -138,7 +138,7 @@ def test_too_much_pressure_is_let_out():
 
 @pytest.mark.clock(5)
 @pytest.mark.parametrize("fault", ["valve_silent", "valve_garbage"])
-def test_a_silent_or_babbling_board_is_an_error(rig, fault):
+def test_a_silent_board_or_a_flooding_board_is_an_error(rig, fault):
     board, valves, _, faults, _ = rig
     valves[0].state()
     faults.set(fault, 1)
@@ -152,7 +152,7 @@ def test_a_silent_or_babbling_board_is_an_error(rig, fault):
 
 
 @pytest.mark.clock
-def test_a_stuck_valve_is_an_error_where_a_sensor_can_detect_and_is_not_sealed(rig):
+def test_a_stuck_valve_is_an_error_unless_sealed_or_without_a_sensor(rig):
     board, valves, _, faults, _ = rig
     faults.set("valve_stuck", 1)
     valves[0].open(1000.0)
@@ -252,7 +252,7 @@ def test_an_unplugged_board_is_an_error():
 
 
 @pytest.mark.clock
-def test_a_late_answer_is_not_taken_for_the_next_one():
+def test_a_late_answer_is_not_returned_for_the_next_request():
     """A late answer to an earlier request is recognized by its number alone, since it is intact."""
     with valve_bench() as (port, *_):
         boards, _ = connect_valves(valve_configs(port.path))
@@ -278,7 +278,7 @@ def test_a_late_answer_is_not_taken_for_the_next_one():
         "close 1",
     ],
 )
-def test_an_unknown_request_is_an_error_and_stops_nothing(line):
+def test_an_unknown_request_is_an_error_and_the_board_continues(line):
     firmware = emulated.ValveFirmware({}, emulated.Faults())
     for text in ("vent 1", "beat 1000"):
         firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)
@@ -337,7 +337,7 @@ def test_the_state_for_a_late_host_depends_on_its_hold_time(hold):
 
 
 @pytest.mark.clock
-def test_a_board_of_before_cannot_hold(monkeypatch):
+def test_an_older_board_cannot_hold(monkeypatch):
     monkeypatch.setattr("mjtactile.devices.valve.board._HANDSHAKE_TIME", 1.0)
     monkeypatch.setattr(emulated.ValveFirmware, "_execute", lambda *_: "id mjvalve 1.0 2 1 6000")
     with (
@@ -347,7 +347,7 @@ def test_a_board_of_before_cannot_hold(monkeypatch):
         ValveBoard([ValveConfig("left", port.path)], hold=1.0)
 
 
-def test_nothing_is_inflated_for_a_host_without_a_heartbeat_or_that_does_not_know_of_a_fault():
+def test_a_host_without_heartbeat_or_with_an_unread_fault_cannot_inflate():
     firmware = emulated.ValveFirmware({}, emulated.Faults())
 
     def ask(text):

@@ -137,7 +137,7 @@ def is_near(host, pressure, number=1):
     return wait_for(lambda: abs(host.channel(number)[2] - pressure) < 30)
 
 
-def test_it_regulates_seals_and_vents_both_chambers(rig):
+def test_firmware_regulates_seals_and_vents_both_chambers(rig):
     host, board, valves = rig
     assert board.firmware == "1.1" and board.has_sensors
     for number, (valve, pressure) in enumerate(zip(valves, (1000.0, 2500.0), strict=True), 1):
@@ -151,7 +151,7 @@ def test_it_regulates_seals_and_vents_both_chambers(rig):
         assert host.channel(number)[:2] == ("vent", "ok")
 
 
-def test_a_dead_host_and_a_second_one(host):
+def test_a_second_host_takes_over_from_a_lost_host(host):
     """The board vents without a host; a second host that connects and dies is monitored, too."""
     for _ in range(2):
         board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)])
@@ -165,7 +165,7 @@ def test_a_dead_host_and_a_second_one(host):
 
 
 @pytest.mark.clock(13)
-def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leaves_it_to_vent(host):
+def test_the_chamber_is_sealed_for_a_late_host_and_vented_for_a_lost_host(host):
     board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)], hold=1.5)
     board.set(1, 1000.0)
     assert is_near(host, 1000.0)
@@ -190,7 +190,7 @@ def test_a_host_that_is_late_finds_its_chamber_sealed_and_one_that_is_gone_leave
         ("reset", "start", "has restarted"),
     ],
 )
-def test_it_vents_by_itself_and_the_driver_reports_why(rig, command, fault, why):
+def test_firmware_vents_on_a_fault_and_the_driver_reports_the_reason(rig, command, fault, why):
     host, board, valves = rig
     valves[0].open(1000.0)
     assert is_near(host, 1000.0)
@@ -203,7 +203,7 @@ def test_it_vents_by_itself_and_the_driver_reports_why(rig, command, fault, why)
     assert is_near(host, 0.0)
 
 
-def test_an_inlet_that_does_not_close_is_noticed(rig):
+def test_an_inlet_that_does_not_close_is_detected(rig):
     host, _, valves = rig
     valves[0].open(1000.0)
     valves[0].close()
@@ -211,7 +211,7 @@ def test_an_inlet_that_does_not_close_is_noticed(rig):
     assert wait_for(lambda: host.channel()[1] == "pressure")
 
 
-def test_a_stuck_valve_and_a_puncture_are_seen(rig):
+def test_a_stuck_valve_and_a_puncture_are_detected(rig):
     host, board, valves = rig
     valves[0].open(1000.0)
     assert is_near(host, 1000.0)
@@ -246,7 +246,7 @@ def test_a_board_that_hangs_or_is_unplugged_is_an_error(rig, act, message):
         host.process.communicate()
 
 
-def test_it_answers_as_the_emulated_board_does(host):
+def test_firmware_answers_equal_those_of_the_emulated_board(host):
     """The firmware answers every request of a host word for word as the emulated board.
 
     The two programs implement the same page.
@@ -304,7 +304,7 @@ def test_it_answers_as_the_emulated_board_does(host):
         assert port.readline() == emulated.framed("65535 id mjvalve 1.1 2 1 6000")
 
 
-def test_ten_million_damaged_bytes_are_not_obeyed(program):
+def test_ten_million_damaged_bytes_cause_no_action(program):
     reported = json.loads(
         subprocess.run(
             [program, "fuzz", "10000000", "1"], check=True, capture_output=True, text=True
@@ -314,7 +314,7 @@ def test_ten_million_damaged_bytes_are_not_obeyed(program):
     assert reported["accepted"] == 0  # a CRC-32 lets 1 in 4 10^9 pass
 
 
-def test_without_sensors_it_opens_to_the_supply(tmp_path):
+def test_without_sensors_firmware_opens_the_supply_valve(tmp_path):
     with contextlib.closing(Host(build(tmp_path, "-DVALVE_SENSORS=0"))) as host:
         boards, valves = connect_valves(valve_configs(host.path))
         try:

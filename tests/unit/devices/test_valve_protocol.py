@@ -29,12 +29,12 @@ def test_the_crc_is_the_one_of_ethernet():
         b"1  *" + b"%08X" % zlib.crc32(b"2 "),
     ],
 )
-def test_damaged_lines_are_no_lines(line):
+def test_damaged_lines_are_rejected(line):
     assert protocol.decode(line) is None
     assert emulated.unframed(line) is None
 
 
-def test_no_damaged_line_is_read():
+def test_a_damaged_line_is_not_read():
     """30 000 here; one in 4 10^9 could pass."""
     rng = random.Random(0)
     lines = [protocol.encode(n, f"state 1 sealed {n % 4000} ok").rstrip() for n in range(100)]
@@ -48,7 +48,7 @@ def test_no_damaged_line_is_read():
     )
 
 
-def test_bad_lines_are_no_readings():
+def test_invalid_lines_give_no_reading():
     """A seeded 20 kB through a port; `mjtactile bench rig` feeds 10^7 bytes."""
     result = fuzz_valve(20_000)
     assert result["wrong"] == 0 and result["refused"] > 15

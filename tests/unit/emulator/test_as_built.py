@@ -122,7 +122,7 @@ def test_the_valve_board_regulates_by_its_own_sensor():
     assert chambers.pressures[1] == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_servo_with_more_torque_needs_less_current():
+def test_a_servo_with_a_higher_torque_constant_needs_less_current():
     servo = EmulatedServo(1, "XL330-M288")
     strong = EmulatedServo(1, "XL330-M288", torque_fraction=0.08)
     for one in (servo, strong):
@@ -162,7 +162,7 @@ def test_shafts_with_backlash_turn_before_the_jaws_follow():
     assert driven(0.0215)[0] == pytest.approx(0.0245)
 
 
-def test_an_as_built_sensor_that_creeps_meets_a_quick_stretch_with_more():
+def test_an_as_built_sensor_with_relaxation_is_stiffer_in_a_fast_stretch():
     """5 % of the lasting stress in each decade from 1 to 1000 s: 20 % more at first; the file's
     modulus is the lasting one."""
     design = load_sensor("dense")

@@ -54,7 +54,7 @@ def world():
     world.close()
 
 
-def test_an_object_that_is_not_touched_stays_where_it_stands(world):
+def test_an_untouched_object_does_not_move(world):
     """An egg on its end that leans creeps on, and falls within minutes."""
     joint = world.scene.data.joint(world._object_joint.id)
 
@@ -70,7 +70,7 @@ def test_an_object_that_is_not_touched_stays_where_it_stands(world):
     assert 0.5 < seated < 3 and lean(2.0) == pytest.approx(seated, abs=0.05)
 
 
-def test_jaws_without_torque_are_held_by_their_gears(world):
+def test_gear_friction_holds_jaws_without_torque(world):
     """Less than the gears' friction (0.05 N) moves them no farther than their slack; more does."""
     moved = []
     for force in (0.02, 0.2):
@@ -84,7 +84,7 @@ def test_jaws_without_torque_are_held_by_their_gears(world):
 
 
 @pytest.mark.clock
-def test_a_host_that_never_reads_stops_nothing():
+def test_a_host_that_does_not_read_does_not_block_the_emulator():
     with servo_bench() as bench:
         host = os.open(bench.bus.path, os.O_RDWR | os.O_NOCTTY)
         thread = threading.Thread(target=bench.bus._port.write, args=(bytes(200_000),), daemon=True)
@@ -95,7 +95,7 @@ def test_a_host_that_never_reads_stops_nothing():
         os.close(host)
 
 
-def test_without_a_goal_it_falls_freely():
+def test_without_a_goal_the_lift_falls_freely():
     asked = []
     scene = SimpleNamespace(
         timestep=0.004, set_lift_target=lambda height, speed=None: asked.append((height, speed))

@@ -24,19 +24,19 @@ PRINTED = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_crc_is_the_printed_one(name):
+def test_crc_equals_the_published_value(name):
     packet = bytes.fromhex(PRINTED[name])
     assert p2.crc16(packet[:-2]) == int.from_bytes(packet[-2:], "little")
     assert p2.fast_crc16(packet[:-2]) == p2.crc16(packet[:-2])
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_encoding_gives_the_printed_bytes(name):
+def test_encoding_gives_the_published_bytes(name):
     packet = bytes.fromhex(PRINTED[name])
     assert p2.encode(packet[4], packet[7], packet[8:-2]) == packet
 
 
-def test_decoding_undoes_encoding_with_stuffing_and_garbage():
+def test_decoding_inverts_encoding_with_stuffing_and_garbage():
     parameters = b"\x74\x00\xff\xff\xfd\xff\xff\xfd\x00"  # two places that must be stuffed
     packet = p2.encode(1, p2.WRITE, parameters)
     assert packet.count(b"\xff\xff\xfd\xfd") == 2
@@ -46,7 +46,7 @@ def test_decoding_undoes_encoding_with_stuffing_and_garbage():
     ]
 
 
-def test_a_wrong_crc_is_seen():
+def test_a_wrong_crc_is_detected():
     packet = bytearray(p2.encode(1, p2.PING))
     packet[-1] ^= 1
     assert [f.intact for f in p2.Decoder().feed(bytes(packet))] == [False]

@@ -133,7 +133,7 @@ def test_values_outside_their_range_are_refused(name, good, bad):
 
 
 @pytest.mark.clock
-def test_limits_bound_the_goals(xl):
+def test_goals_are_limited(xl):
     assert xl.write("Current Limit", 300) == 0
     assert xl.write("Goal Current", 301) == 4
     assert xl.write("Operating Mode", 5) == 0
@@ -185,7 +185,7 @@ def test_bulk_write(xl):
 
 
 @pytest.mark.clock
-def test_an_absent_id_does_not_silence_the_others(xl):
+def test_an_absent_id_does_not_block_the_others(xl):
     xl.port.closePort()
     bus = DynamixelBus(xl.bench.bus.path, reply_timeout=0.3)
     try:
@@ -207,14 +207,14 @@ def test_a_group_packet_with_a_bad_crc_is_not_answered(xl):
 
 
 @pytest.mark.clock
-def test_a_new_id_answers_and_the_old_one_does_not(xl):
+def test_only_the_new_id_answers(xl):
     assert xl.write("ID", 9) == 0
     assert xl.ping(9) and xl.is_absent(1) and xl.ping(2)
     assert xl.read("ID", 9) == 9
 
 
 @pytest.mark.clock
-def test_a_new_baud_rate_counts_at_once(xl):
+def test_a_new_baud_rate_applies_at_once(xl):
     assert xl.write("Baud Rate", 1) == 0
     assert xl.is_absent(1) and xl.ping(2)
     assert xl.port.setBaudRate(57600)
@@ -242,7 +242,7 @@ def test_not_all_servos_are_reset_at_once(xl):
 
 
 @pytest.mark.clock
-def test_reboot_is_silent_for_a_while_and_forgets_ram(xl):
+def test_reboot_delays_answers_and_resets_ram(xl):
     assert xl.write("Torque Enable", 1) == 0
     xl.bench.servos[1].raise_error(0x20)
     assert xl.packets.reboot(xl.port, 1)[0] == OK
@@ -272,7 +272,7 @@ def test_register_and_action(xl):
 
 
 @pytest.mark.clock
-def test_indirect_addresses_stand_for_others(xl):
+def test_indirect_addresses_map_to_other_addresses(xl):
     """Example 2 of "Indirect Address": Goal Position's four bytes as indirect data 2 to 5."""
     assert xl.write("Operating Mode", 4) == 0
     for i in range(4):
@@ -286,7 +286,7 @@ def test_indirect_addresses_stand_for_others(xl):
 
 
 @pytest.mark.clock
-def test_a_secondary_id_obeys_in_silence(xl):
+def test_a_secondary_id_obeys_without_an_answer(xl):
     for servo in (1, 2):
         assert xl.write("Secondary(Shadow) ID", 100, servo) == 0
     assert xl.packets.write1ByteTxOnly(xl.port, 100, 65, 1) == OK

@@ -53,7 +53,7 @@ def test_modes_without_a_position_move(xl, mode, goal, value):
 
 
 @pytest.mark.clock
-def test_the_profile_takes_its_time_and_reports_it(xl):
+def test_a_profile_has_its_duration_and_reports_it(xl):
     on(xl, 4)
     assert xl.write("Profile Velocity", 20) == 0  # 0.48 rad/s
     assert xl.write("Goal Position", TICKS + 1000) == 0  # 1.534 rad: 3.2 s
@@ -112,7 +112,7 @@ def test_homing_offset_is_added_to_the_position(xl):
 
 
 @pytest.mark.clock
-def test_clear_forgets_full_turns_of_a_shaft_at_rest(xl):
+def test_clear_resets_full_turns_of_a_shaft_at_rest(xl):
     servo = xl.bench.servos[1]
     on(xl, 4)
     assert xl.write("Goal Position", TICKS + 8192) == 0
@@ -152,12 +152,12 @@ def test_a_trip_stops_the_servo_and_makes_its_goals_read_only(mode):
 
 
 @pytest.mark.clock
-def test_a_limp_servo_releases():
+def test_a_limp_servo_has_no_torque():
     assert tripped(trip="limp")[0].drive().torque_max == 0
 
 
 @pytest.mark.clock
-def test_firmware_51_of_a_330_notes_the_trip_and_goes_on():
+def test_firmware_51_of_a_330_reports_the_trip_and_continues():
     servo, at = tripped(firmware=51)
     turn(servo, 0.5)
     assert servo.get("Bus Watchdog") == 0xFF
@@ -177,7 +177,7 @@ def test_with_a_homing_offset_a_trip_moves_the_motor():
 
 
 @pytest.mark.clock
-def test_without_torque_it_does_not_trip():
+def test_without_torque_the_watchdog_does_not_trip():
     servo = EmulatedServo(1, "XL330-M288")
     assert servo.write(98, b"\x05") == 0
     servo.check_watchdog(scaled_clock.monotonic() + 10)

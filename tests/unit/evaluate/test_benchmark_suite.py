@@ -87,7 +87,7 @@ def test_compared_controllers_have_the_same_episodes(new, tmp_path):
     assert "| all 2 | mine | 5 of 5 (57-100 %) | 2.5 | +60 (" in benchmark_suite.table(known, found)
 
 
-def test_nothing_is_compared_with_other_files_or_another_scoring(new, tmp_path, monkeypatch):
+def test_results_of_other_files_or_another_scoring_are_not_compared(new, tmp_path, monkeypatch):
     path = tmp_path / "mine.json"
     replace(new, files={**new.files, "pour.toml": "0" * 64}).write(path)
     with pytest.raises(InputError, match=r"other versions of these files: pour\.toml"):
@@ -115,7 +115,7 @@ def test_results_of_another_scenario_are_refused(new, tmp_path):
 
 
 @pytest.mark.parametrize("name", resources.names(benchmark_suite.FOLDER, ".json"))
-def test_the_shipped_ones_are_of_the_files_as_they_are(name):
+def test_shipped_results_match_the_current_files(name):
     known = benchmark_suite.load_suite(name)
     assert known.name == name
     for task in known.tasks:

@@ -25,7 +25,7 @@ def outcome_of(heights, *, press=0.2, last="done", believed="not set down"):
     return true.score({"outcome": believed, "reason": "reported"})
 
 
-def test_a_lifted_object_that_stands_again_was_held_for_any_estimate():
+def test_an_object_that_was_lifted_and_set_down_was_held():
     found = outcome_of((0.02, 0.06, 0.021))
     assert found["outcome"] == "held" and found["reason"] == ""
     assert found["hold_force_true_N"] == pytest.approx(0.2)

@@ -98,7 +98,9 @@ RAISES = "def step(observation):\n    return observation.touch[7]\n"
         (WAITS + LEAKS, "unsafe", "stopped safely: leak: chamber 0 lost pressure"),
     ],
 )
-def test_a_controller_that_does_not_end_well_has_failed(tmp_path, monkeypatch, text, kind, reason):
+def test_a_controller_that_raises_or_hangs_counts_as_a_failure(
+    tmp_path, monkeypatch, text, kind, reason
+):
     monkeypatch.setattr("mjtactile.runtime.control_loop.WAIT_TIME", 0.2)
     monkeypatch.setattr("mjtactile.runtime.controller._FIRST_TIME", 0.2)
     path = tmp_path / "bad.py"
@@ -142,7 +144,7 @@ def test_failures_to_build_or_run_are_errors(tmp_path, monkeypatch, quick):
 @pytest.mark.parametrize(
     ("rate", "left"), [(1.0, "3600 per hour, 7 s"), (0.01, "36 per hour, 12 min")]
 )
-def test_progress_states_at_once_why_an_episode_was_an_error(rate, left):
+def test_progress_prints_the_reason_of_an_error_at_once(rate, left):
     """Seven are left of ten, at `rate` in a second."""
     line = {"controller": "mine", "object": "vial", "seed": 4, "outcome": "error", "reason": "wide"}
     start = "3 of 10: mine, vial, seed 4"
@@ -151,7 +153,7 @@ def test_progress_states_at_once_why_an_episode_was_an_error(rate, left):
     assert _progress(held, 3, 10, rate) == f"{start}: held; {left} left"
 
 
-def test_a_full_disk_loses_nothing_that_was_kept(tmp_path):
+def test_a_full_disk_loses_no_stored_line(tmp_path):
     """A limit on the size of files stands for the disk's: the write fails half-way, and resuming
     goes on from whole lines."""
     kept = store.Store(tmp_path / "out", {"options": {}}, resume=False)
@@ -187,7 +189,7 @@ def test_an_episode_that_was_terminated_has_no_line(tmp_path, monkeypatch, quick
     assert store.read_lines(tmp_path / "out") == []
 
 
-def test_the_manifest_reports_how_to_run_it_again(tmp_path):
+def test_the_manifest_contains_the_command_of_the_evaluation(tmp_path):
     (tmp_path / "a").mkdir()
     for path in (tmp_path / "cup.xml", tmp_path / "a" / "cup.xml"):  # two of one name
         path.write_text(path.parent.name)

@@ -51,7 +51,7 @@ def lines(count=300, controller="gentle", seed=0):
     ]
 
 
-def test_only_the_cause_of_failures_is_significant():
+def test_only_the_parameter_that_causes_failures_is_significant():
     found = against(lines())
     by_name = {one["name"]: one for one in found}
     assert found[0]["name"] == "object.mass_percent" and [
@@ -81,7 +81,7 @@ def test_only_the_cause_of_failures_is_significant():
     )
 
 
-def test_a_parameter_bad_on_both_sides_is_found():
+def test_a_parameter_with_failures_at_both_ends_is_significant():
     table = lines(100)
     for line in table:
         line["outcome"] = (
@@ -96,7 +96,7 @@ def test_a_parameter_bad_on_both_sides_is_found():
     )
 
 
-def test_nothing_stands_out_by_accident():
+def test_random_failures_are_not_significant():
     """Outcomes that have nothing to do with five values: in 5 % of such reports something stands
     out."""
     rng = np.random.default_rng(3)
@@ -109,7 +109,7 @@ def test_nothing_stands_out_by_accident():
     assert seen <= 6  # 2 expected; 3 sd more
 
 
-def test_both_controllers_are_binned_alike_and_errors_left_out():
+def test_both_controllers_have_equal_bins_without_errors():
     first = lines()
     second = lines(controller="other")
     second[0] |= {
@@ -126,7 +126,7 @@ def test_both_controllers_are_binned_alike_and_errors_left_out():
     json.dumps(summary)
 
 
-def test_the_worst_are_of_every_kind():
+def test_worst_episodes_contain_every_kind():
     table = lines(40)
     for k, line in enumerate(table):
         line["outcome"] = "dropped" if k < 12 else "held"
@@ -162,7 +162,7 @@ def test_the_page_is_complete_and_agrees_with_the_lines():
     )
 
 
-def test_images_of_the_worst_are_in_the_page(tmp_path, monkeypatch):
+def test_images_of_the_worst_episodes_are_in_the_page(tmp_path, monkeypatch):
     kept = store.Store(
         tmp_path,
         {

@@ -14,7 +14,7 @@ def test_wilson(count, of):
     np.testing.assert_allclose(wilson(count, of), (theirs.low, theirs.high), atol=1e-9)
 
 
-def test_ten_of_ten_is_not_certain():
+def test_ten_of_ten_successes_have_an_interval():
     assert wilson(10, 10)[0] == pytest.approx(0.7225, abs=1e-4)  # 1 / (1 + z^2 / 10)
     assert wilson(0, 0) == (0.0, 1.0)
 
@@ -51,7 +51,7 @@ def test_the_interval_of_a_paired_difference_covers_the_truth(n):
             assert chance[(low <= truth) & (truth <= high)].sum() > 0.94
 
 
-def test_no_episode_that_differs_is_no_proof_that_none_would():
+def test_without_differing_episodes_the_interval_is_not_zero():
     # of 24 pairs alike, each share is below 1 - 0.025^(1 / 24) = 14.2 %: Clopper and Pearson
     low, high = paired_interval(0, 0, 24)
     assert high == pytest.approx(1 - 0.025 ** (1 / 24)) and low == -high
@@ -60,7 +60,7 @@ def test_no_episode_that_differs_is_no_proof_that_none_would():
     assert paired_interval(0, 0, 0) == (-1.0, 1.0)
 
 
-def test_how_many_episodes_would_settle_it():
+def test_required_episodes_are_estimated():
     first = lines(["held"] * 50 + ["dropped"] * 10)
     second = lines(["dropped"] * 2 + ["held"] * 54 + ["dropped"] * 4)
     found = paired(first, second)
@@ -112,7 +112,7 @@ def test_several_controllers_are_compared_with_a_named_adjustment():
     assert "(95 % for all 3 comparisons together, Bonferroni: " in text and ": settled" not in text
 
 
-def test_errors_count_separately():
+def test_errors_are_counted_separately():
     summary = summarise(
         lines(["held", "error", "dropped", "crushed"])
         + lines(["held", "held", "error", "held"], "b")
@@ -133,7 +133,7 @@ def test_errors_count_separately():
     assert "1 with the same outcome): " in text
 
 
-def test_a_controller_that_hangs_raises_or_is_stopped_has_failed():
+def test_a_blocked_failed_or_stopped_controller_counts_as_a_failure():
     summary = summarise(lines(["held", "hung", "raised", "unsafe", "hung", "error"]))
     a = summary["controllers"]["a"]
     assert a["success"] == pytest.approx(1 / 5) and a["hung"] == 2

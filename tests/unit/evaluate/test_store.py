@@ -52,7 +52,7 @@ def test_results_of_unknown_files_are_kept_and_named(tmp_path, resume, name):
     assert (tmp_path / name).read_text() == text * 6 and len(list(tmp_path.iterdir())) == 1
 
 
-def test_an_empty_folder_is_as_good_as_none(tmp_path):
+def test_an_empty_folder_can_be_used(tmp_path):
     store.Store(tmp_path, {"options": {}}, resume=True)
     assert (tmp_path / "episodes.jsonl").read_text() == ""
 
@@ -67,7 +67,7 @@ def test_a_resumed_evaluation_may_add_episodes_but_not_remove_them(tmp_path):
         store.Store(tmp_path / "a", evaluation, resume=True)
 
 
-def test_a_damaged_line_loses_no_other(tmp_path, caplog):
+def test_a_damaged_line_does_not_affect_the_others(tmp_path, caplog):
     """Its episode counts as missing, so that a resumed evaluation runs it again."""
     write_part(tmp_path / "a", 1, 1)
     path = tmp_path / "a" / "episodes.jsonl"
@@ -97,7 +97,7 @@ def test_the_differing_field_is_named_with_both_values(tmp_path):
         store.Store(tmp_path / "a", files, resume=True)
 
 
-def test_shards_make_the_total(tmp_path):
+def test_shards_add_up_to_the_complete_result(tmp_path):
     parts = [write_part(tmp_path / str(k), k, 3) for k in (3, 1, 2)]
     summary = merge([*parts, parts[0]], tmp_path / "all")  # one twice: the same lines
     assert summary["episodes"] == 8 and "missing" not in summary
@@ -119,7 +119,7 @@ def test_a_missing_shard_is_reported_and_only_joined_when_asked(tmp_path, capsys
     assert "2 episodes of this evaluation are missing" in (tmp_path / "all/summary.md").read_text()
 
 
-def test_two_that_differ_in_an_episode_are_both_named(tmp_path):
+def test_two_results_that_differ_in_an_episode_are_named(tmp_path):
     first = write_part(tmp_path / "first", 2, 2)
     again = write_part(tmp_path / "again", 2, 2, own3="dropped")
     other = write_part(tmp_path / "other", 1, 2)

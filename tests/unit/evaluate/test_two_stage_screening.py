@@ -61,7 +61,7 @@ def test_with_all_run_again_the_fraction_is_that_of_full_fidelity(tmp_path):
     assert differ == [11, 14]
 
 
-def test_the_sample_is_any_and_the_same_each_time():
+def test_the_sample_is_random_and_reproducible():
     lines = [{"episode": k, "controller": "gentle", "outcome": "held"} for k in range(300)]
     first = two_stage_screening.to_run_again(lines, 30)
     assert first == two_stage_screening.to_run_again(lines, 30) and len(set(first)) == 30

@@ -48,7 +48,7 @@ def test_report_of_a_ball(ball):
     assert ball.stiffness.by_vertex[up].mean() > 20 * ball.stiffness.by_vertex[down].mean()
 
 
-def test_nothing_gave_way_is_a_bound_and_unseen_is_unknown(ball):
+def test_without_deflection_stiffness_has_a_bound_and_unmeasured_is_unknown(ball):
     both = [patch([0, 0, 1], 0.0), patch([0, 0, -1], 0.0)]
     stiff = ComplianceMap.of(both, ball.mesh).summary()
     assert math.isnan(stiff["stiffness_N_m"])
@@ -58,7 +58,7 @@ def test_nothing_gave_way_is_a_bound_and_unseen_is_unknown(ball):
     assert math.isnan(unseen["stiffness_N_m"]) and math.isnan(unseen["stiffness_min_N_m"])
 
 
-def test_files_hold_the_surface(ball, tmp_path):
+def test_files_contain_the_surface(ball, tmp_path):
     write_ply(tmp_path / "a.ply", ball)
     head, _, rows = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
     count = len(ball.mesh.vertices)
@@ -72,7 +72,7 @@ def test_files_hold_the_surface(ball, tmp_path):
     assert len(data) == 84 + 50 * len(ball.mesh.triangles)
 
 
-def test_the_page_asks_for_nothing(ball, tmp_path):
+def test_the_page_loads_no_other_file(ball, tmp_path):
     write_page(tmp_path / "a.html", ball, {**ball.summary(), "object": "<ball>"})
     page = (tmp_path / "a.html").read_text()
     assert "&lt;ball&gt;" in page
@@ -82,7 +82,7 @@ def test_the_page_asks_for_nothing(ball, tmp_path):
     assert {len(colours) for colours in data["colours"].values()} == {len(data["vertices"])}
 
 
-def test_a_line_that_was_cut_off_costs_that_touch_alone(tmp_path):
+def test_a_truncated_line_loses_only_its_touch(tmp_path):
     store = PatchStore(tmp_path / "touched.jsonl")
     for direction in ([0, 0, 1], [1, 0, 0]):
         store.write(patch(direction))

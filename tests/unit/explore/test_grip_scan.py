@@ -43,7 +43,7 @@ def drive(squeeze, force_of, cycles=600, period=1 / 30):
     return sent
 
 
-def test_the_squeeze_stops_at_its_force_and_comes_down():
+def test_the_squeeze_stops_at_its_force_and_releases():
     # 160 N/m per finger, as of two membranes, around an object of 30 mm
     heights = (0.012, 0.006)
     sent = drive(
@@ -67,14 +67,14 @@ def test_the_squeeze_stops_at_its_force_and_comes_down():
     assert 5 < len(grip) <= 11 and grip[-1].height <= 0.013 + 1e-9
 
 
-def test_one_finger_alone_is_not_pressed_on():
+def test_contact_of_one_finger_is_not_loaded_further():
     sent = drive(
         GripController((0.0,), 0.3), lambda opening: [max(0.0, 160 * (0.03 - opening)), 0.0]
     )
     assert max(force[0] for _, force in sent) < 1.5 * 0.3 + 0.02
 
 
-def test_an_unknown_force_stands_still():
+def test_an_unknown_force_stops_the_motion():
     sent = drive(GripController((0.0,), 0.3), lambda opening: [math.nan, 0.1], cycles=20)
     assert {command.opening for command, _ in sent} == {0.08}
 
@@ -88,7 +88,7 @@ def ball_patch(way, shift, group=0, loose=0.0):
 
 
 @pytest.mark.slow
-def test_a_grip_that_pushed_the_object_aside_spoils_no_size(two_families):
+def test_a_grip_that_moved_the_object_does_not_change_the_size(two_families):
     # four grips, three of them shifted by up to 1 mm; a grip's two patches have the shift in common
     rng = np.random.default_rng(4)
     shifts = [np.zeros(3), *rng.normal(0, 7e-4, (3, 3))]
@@ -113,7 +113,7 @@ def test_a_grip_that_pushed_the_object_aside_spoils_no_size(two_families):
     assert not group_covariance(alike[0], alike[2]).any()
 
 
-def test_the_next_grip_is_where_uncertainty_is_largest():
+def test_the_next_grip_is_at_the_largest_uncertainty():
     # both ends of x are well known, those of y are unknown: rotated by 90 deg
     mesh = mesh_of(fuse([ball_patch([1, 0, 0], 0), ball_patch([-1, 0, 0], 0)])[0], 2e-3)
     angle, height = next_grip(mesh, [(TURNS[0], HEIGHTS[0])], has_contact=True)

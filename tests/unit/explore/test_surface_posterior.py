@@ -106,7 +106,7 @@ def touched_once(fitted):
     return patches, fuse(patches)[0]
 
 
-def test_an_ellipsoid_is_one_and_its_size_is_reported_with_its_uncertainty(fitted):
+def test_an_ellipsoid_is_identified_with_size_and_uncertainty(fitted):
     patches, surfaces = fitted
     assert surfaces[0].family.name == "ellipsoid"
     # few parameters: a model with more that explains it as well is less likely
@@ -209,7 +209,7 @@ def test_six_patches_determine_an_ellipsoid(explored):
     assert sorted(np.exp(surface.theta[6:9])) == pytest.approx([10, 12, 16], rel=0.015)
 
 
-def test_uncertainty_shrinks_where_it_was_touched_and_stays_where_not(explored, touched_once):
+def test_only_touched_areas_become_less_uncertain(explored, touched_once):
     patches, surface = explored
     _, one = touched_once
     touched, untouched = patches[0].center[None], (2 * CENTER - patches[0].center)[None]

@@ -27,7 +27,7 @@ def model():
     return surface, noise
 
 
-def test_it_equals_the_leave_one_out_error_of_each_touch(model):
+def test_inflation_is_the_leave_one_out_error_of_each_touch(model):
     """Leaves each touch out in turn, and conditions on the others: no inverse of all at once."""
     surface, noise = model
     found = 3 * np.random.default_rng(4).multivariate_normal(np.zeros(20), surface + noise)
@@ -68,7 +68,7 @@ def ball_patch(way, radius_mm):
 
 
 @pytest.mark.slow
-def test_touches_that_disagree_make_every_place_less_sure(two_families):
+def test_contradicting_touches_widen_the_uncertainty_everywhere(two_families):
     """A ball touched in six places; then every other touch found 0.3 mm less: of no family."""
     directions = np.random.default_rng(2).normal(size=(6, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]

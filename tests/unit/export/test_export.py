@@ -24,7 +24,7 @@ from tests.lenses import CAMERAS
 
 
 @pytest.mark.parametrize("kind", ["mcap", "lerobot", "rosbag2"])
-def test_damaged_recordings_lose_no_other(pair, tmp_path, kind, capsys):
+def test_damaged_recordings_do_not_affect_the_others(pair, tmp_path, kind, capsys):
     """After a power cut, the log ends inside a line and the last images are empty: its whole cycles
     are exported. A recording without cycles is left out."""
     source = tmp_path / "runs"
@@ -49,7 +49,7 @@ def test_damaged_recordings_lose_no_other(pair, tmp_path, kind, capsys):
     assert not list(out.glob(".*"))
 
 
-def test_a_failed_export_leaves_nothing_behind(pair, tmp_path, capsys, monkeypatch):
+def test_a_failed_export_leaves_no_file(pair, tmp_path, capsys, monkeypatch):
     """So that the same command can be given again."""
     words = ["export", str(pair), "--format", "mcap", "--out", str(tmp_path / "out")]
     monkeypatch.setattr(mcap, "_attach", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
@@ -87,7 +87,7 @@ def read_mcap(path):
     return found, metadata, attachments
 
 
-def test_an_mcap_file_is_the_recording(pair, tmp_path):
+def test_an_mcap_file_contains_the_recording(pair, tmp_path):
     assert mcap.write(find_episodes(pair), tmp_path) == {"episodes": 2, "frames": 21}
     found, metadata, attachments = read_mcap(tmp_path / "episode_000001.mcap")
     recording = load_recording(pair / "b")
@@ -170,7 +170,7 @@ def read_bag(path):
         return found, {c.topic: c.msgtype for c in bag.connections}
 
 
-def test_a_bag_is_the_recording(pair, tmp_path):
+def test_a_bag_contains_the_recording(pair, tmp_path):
     assert rosbag2.write(find_episodes(pair), tmp_path) == {"episodes": 2, "frames": 21}
     found, types = read_bag(tmp_path / "episode_000001")
     recording = load_recording(pair / "b")

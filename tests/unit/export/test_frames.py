@@ -99,7 +99,7 @@ def test_without_a_glass_the_camera_is_unchanged():
     assert found.camera.distortion == design.camera.distortion
 
 
-def test_all_frames_of_a_bag_are_one_tree(pair, tmp_path):
+def test_frames_of_a_bag_form_one_tree(pair, tmp_path):
     rosbag2.write(find_episodes(pair / "a"), tmp_path)
     found, _ = read_bag(tmp_path / "episode_000000")
     tree = tree_of(found)

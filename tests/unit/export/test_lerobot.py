@@ -22,7 +22,7 @@ from tests.fake_run import fake_cycle
 
 
 @pytest.mark.parametrize("images", ["video", "png", "none"])
-def test_a_lerobot_data_set_is_the_recordings(pair, tmp_path, images):
+def test_a_lerobot_data_set_contains_the_recordings(pair, tmp_path, images):
     result = lerobot.write(find_episodes(pair), tmp_path, images=images)
     assert result == {
         "episodes": 2,
@@ -73,7 +73,7 @@ def test_a_lerobot_data_set_is_the_recordings(pair, tmp_path, images):
     )
 
 
-def test_units_stand_beside_the_numbers(pair, tmp_path):
+def test_units_are_next_to_their_values(pair, tmp_path):
     lerobot.write(find_episodes(pair), tmp_path, images="none")
     features = json.loads((tmp_path / "meta/info.json").read_text())["features"]
     assert features["recorded.force_normal"]["names"] == ["left.N", "right.N"]
@@ -166,7 +166,7 @@ def test_repeated_estimates_equal_the_recorded_ones(estimated, tmp_path):
     assert kept["re_estimate"] and kept["recomputed_difference_N"] == 0.0
 
 
-def test_markers_are_those_that_the_pipeline_sees(press, tmp_path):
+def test_markers_are_those_that_the_pipeline_detects(press, tmp_path):
     lerobot.write([RecordedEpisode(press)], tmp_path, images="none")
     rows = pq.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()
     last = list(RecordedEpisode(press).cycles())[-1].touch[0]

@@ -72,7 +72,7 @@ def test_a_membrane_is_shown_where_it_is_estimated(press, tmp_path):
     assert len(annotations.points) == load_sensor("dense").markers.count
 
 
-def test_an_arrow_is_the_force(press):
+def test_an_arrow_has_the_direction_of_the_force(press):
     touch = list(RecordedEpisode(press).cycles())[-1].touch[0]
     arrow = viewer_entities.force_arrow(touch.traction, touch.surface)
     np.testing.assert_allclose(arrow.vectors[0], viewer_entities.FORCE * touch.traction.wrench[:3])
@@ -111,7 +111,7 @@ def test_rerun_opens_a_recording(estimated, tmp_path):
 
 
 @needs_rerun
-def test_rerun_is_shown_a_run(tmp_path):
+def test_rerun_displays_a_run(tmp_path):
     view = mjtactile.LiveView(f"rerun:{tmp_path / 'run.rrd'}")
     cycles = grasping(view)
     assert not view.problem and not view.left_out and "run.rrd" in view.where
@@ -122,7 +122,7 @@ def test_rerun_is_shown_a_run(tmp_path):
     np.testing.assert_array_equal(forces, [cycle.touch[1].force_normal for cycle in cycles])
 
 
-def test_foxglove_is_shown_a_run(tmp_path):
+def test_foxglove_displays_a_run(tmp_path):
     view = mjtactile.LiveView(f"foxglove:{tmp_path / 'run.mcap'}")
     cycles = grasping(view)
     assert not view.problem and not view.left_out
@@ -169,7 +169,7 @@ def test_a_viewer_that_connects_later_sees_the_scene():
     assert len(list(sampled.of(seen))) == 2
 
 
-def test_a_viewer_that_fails_is_given_up(tmp_path, caplog):
+def test_a_failed_viewer_is_disconnected(tmp_path, caplog):
     view = mjtactile.LiveView(f"foxglove:{tmp_path / 'run.mcap'}")
 
     class Broken:
@@ -195,7 +195,7 @@ def test_a_viewer_that_fails_is_given_up(tmp_path, caplog):
         ("foxglove:/nowhere/run.mcap", "no such folder"),
     ],
 )
-def test_a_target_that_is_none_is_named(target, reported):
+def test_an_unknown_target_is_named(target, reported):
     with pytest.raises(mjtactile.InputError, match=reported):
         live_view.LiveView(target)
 
@@ -207,7 +207,7 @@ def test_a_missing_package_is_named(monkeypatch):
 
 
 @needs_rerun
-def test_without_a_screen_a_file_is_offered(monkeypatch):
+def test_without_a_display_a_file_is_suggested(monkeypatch):
     from mjtactile.export import rerun_sink
 
     monkeypatch.setattr(rerun_sink, "_has_screen", lambda: False)

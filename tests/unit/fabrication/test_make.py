@@ -364,7 +364,7 @@ def test_infeasible_optics_are_refused():
         camera_check.plan_camera(DENSE, Hardware(f_number=22.0), STATES, "mine.toml")
 
 
-def test_the_strength_of_the_glass_agrees_with_roark():
+def test_the_stress_of_the_glass_agrees_with_timoshenko():
     """A square plate's coefficient is 0.2874 (Timoshenko's 0.0479 x 6), which the formula has
     within 0.1 %."""
     square = replace(DENSE, frame=replace(DENSE.frame, length=0.03, width=0.03))
@@ -373,7 +373,7 @@ def test_the_strength_of_the_glass_agrees_with_roark():
     )
 
 
-def test_the_simulated_states_bulge_and_are_pressed():
+def test_simulated_states_are_inflated_and_pressed():
     """One place of the four: flat, inflated as the closed form has it, and pressed as deep as was
     asked for."""
     flat, pressed, inflated, both = simulate(

@@ -22,7 +22,7 @@ def layout_of(design):
     return Layout.of(design, Hardware(), "x.toml")
 
 
-def test_the_frame_has_the_groove_that_the_gas_is_reckoned_with():
+def test_the_groove_of_the_frame_equals_that_of_the_gas_volume():
     """The frame has the groove that the gas model includes.
 
     Compared with the same frame without it, the volume is smaller by the groove's volume. The frame
@@ -37,7 +37,7 @@ def test_the_frame_has_the_groove_that_the_gas_is_reckoned_with():
     assert len(solid.decompose()) == 1
 
 
-def test_the_print_has_each_circle_at_its_place():
+def test_the_print_has_each_circle_at_its_position():
     svg = write_svg(fiducial_page(layout_of(DESIGN)))
     circles = re.findall(r'<circle cx="([-\d.]+)" cy="([-\d.]+)" r="([\d.]+)"', svg)
     found = [(float(x), float(y)) for x, y, r in circles if float(r) == 0.8]
@@ -46,7 +46,7 @@ def test_the_print_has_each_circle_at_its_place():
     assert sorted(found) == sorted(requested)
 
 
-def test_a_sensor_without_them_has_no_step_and_no_page_more():
+def test_a_sensor_without_fiducials_has_no_fiducial_step_or_page():
     plain = layout_of(replace(DESIGN, fiducials=None))
     assert fiducial_page(plain) is None
     assert manual.steps_of(plain) == manual.STEPS

@@ -119,20 +119,20 @@ def test_step_files_are_closed_shells_of_the_right_genus(parts, solids):
             check_shell(part, solids[name].genus())  # the mesh's
 
 
-def test_the_bore_makes_one_way_into_the_chamber(parts, solids, layout):
+def test_the_bore_is_the_only_opening_of_the_chamber(parts, solids, layout):
     assert solids["frame"].genus() == len(layout.bolts) + 2  # bolts, opening, port
     assert replace(parts["frame"], bore=None).volume - parts["frame"].volume == pytest.approx(
         math.pi * layout.port.radius**2 * (layout.outer_x - layout.open_x)
     )
 
 
-def test_parts_do_not_intersect_and_it_would_be_seen(parts, solids):
+def test_parts_do_not_intersect_and_intersections_are_detected(parts, solids):
     assert mesh.overlaps(solids) == []
     moved = {"membrane": solids["membrane"], "frame": solids["frame"].translate((0, 0, 1.0))}
     assert [pair[:2] for pair in mesh.overlaps(moved)] == [("membrane", "frame")]
 
 
-def test_contours_that_cross_are_noticed():
+def test_crossing_contours_are_detected():
     body = Contour(10, 8, 2)
     assert crossing(Part("p", (plate(0, 1, body, [circle(1, 5, 0), circle(1, 8, 0)]),))) is None
     # over the edge, over another hole, touching the edge

@@ -82,7 +82,7 @@ def test_heat_after_a_fast_press():
     assert found.values["heat_exchange"] == pytest.approx(tau, rel=0.04)
 
 
-def test_a_gas_that_does_nothing_states_nothing():
+def test_a_gas_at_constant_pressure_determines_no_parameter():
     """With almost constant volume, the amount of gas and its heat exchange stay unknown, and the
     covariance states it."""
     time = np.arange(100) / 30

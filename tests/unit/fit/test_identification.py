@@ -33,7 +33,7 @@ def test_undetermined_parameters_are_fixed_pre_stretch_first(sd, held):
     )
 
 
-def test_thickness_and_modulus_are_one_number():
+def test_only_the_product_of_thickness_and_modulus_is_determined():
     """With unknown thickness, thickness and modulus are strongly correlated.
 
     var(log E) = var(log E h) + var(log h), cov(log E, log h) = -var(log h). With uncertainties of
@@ -56,7 +56,7 @@ def test_thickness_and_modulus_are_one_number():
         ((0.001, 0.002), "the lens agrees"),
     ],
 )
-def test_a_lens_that_differs_is_reported(heights, words):
+def test_a_different_lens_is_reported(heights, words):
     """Heights that are 2 % too small: the focal length is 2 % larger than the file's."""
     membrane = replace(membrane_of(np.eye(2)), heights=heights)
     result = FitResult(DENSE, "", (), (), (), membrane, None, None, (), 1.0)
@@ -64,7 +64,7 @@ def test_a_lens_that_differs_is_reported(heights, words):
     assert membrane.focal_scale == (pytest.approx(1.0204, abs=1e-4) if "612" in words else 1.0)
 
 
-def test_a_membrane_at_another_distance_leaves_the_lens_open():
+def test_a_membrane_at_another_distance_does_not_determine_the_lens():
     """The sd of all heights is at least the relative error of the apparent distance."""
 
     def flat(farther):
@@ -104,7 +104,7 @@ def test_images_are_evaluated_again_with_the_lens_found(monkeypatch):
     assert membrane.focal_scale == pytest.approx(1.02, rel=0.003)
 
 
-def test_known_values_are_taken_in_the_file_s_unit():
+def test_known_values_have_the_unit_of_the_file():
     design, by_section = _with_fixed_values(
         DENSE, {"membrane.thickness_mm": 0.31, "chamber.extra_volume_mL": 2.0}
     )

@@ -58,7 +58,7 @@ def test_two_pressures_determine_modulus_and_pre_stretch(two_pressures):
     assert off @ np.linalg.solve(found.cov[:2, :2], off) < 9.2  # 99 % of two numbers
 
 
-def test_a_start_near_the_solution_changes_nothing(two_pressures):
+def test_a_start_near_the_solution_gives_the_same_fit(two_pressures):
     """The result is that of the file's start, within a fraction of the sd."""
     options = FitOptions(mesh=MESH)
     evidence, far = two_pressures
@@ -69,7 +69,7 @@ def test_a_start_near_the_solution_changes_nothing(two_pressures):
         assert near.values[name] == pytest.approx(far.values[name], abs=0.3 * sd[i])
 
 
-def test_one_pressure_does_not(true):
+def test_one_pressure_does_not_determine_modulus_and_pre_stretch(true):
     """One pressure gives one height, so that modulus and pre-stretch stay strongly
     anticorrelated."""
     found = fit_membrane(
@@ -125,7 +125,7 @@ def loaded(true, scale, height_fraction=0.02, jitter=0.0):
 
 
 @pytest.mark.slow
-def test_a_wrong_lens_is_found_by_the_indentations(true):
+def test_indentations_identify_a_wrong_lens(true):
     """A focal length 2 % too small in the file makes all heights 2 % too small; the stage's depths
     are right. The modulus stays within its interval."""
     others = [
@@ -155,7 +155,7 @@ def test_a_misfit_widens_the_intervals(true):
     assert ratio == pytest.approx(bad.misfit, rel=0.3)
 
 
-def test_a_weight_goes_as_deep_as_it_takes(true):
+def test_a_weight_indents_to_its_equilibrium_depth(true):
     """A weight F goes as deep as an indenter that needs the force F at 2.7 mm.
 
     The markers are at the same positions, within the effect of 0.3 % of the force. For a dent of
@@ -215,7 +215,7 @@ def test_a_step_near_the_solution_keeps_the_jacobian():
     assert near.x == pytest.approx(far.x, abs=1e-3)
 
 
-def test_a_coarse_mesh_is_found_and_covered(true, two_pressures):
+def test_the_error_of_a_coarse_mesh_is_identified(true, two_pressures):
     """A sensor with a finer mesh than that of the fit: the discretization error is found, and the
     intervals cover the parameters. It has the sign of a finer mesh."""
     fine = [evidence_of(true, p, finer_mesh(MESH)[0]) for p in PRESSURES]

@@ -15,7 +15,7 @@ from mjtactile.fit.rewrite_sensor_file import rewrite
 TEXT = resources.find("dense", "models/sensors", ".toml").read_text()
 
 
-def test_a_number_with_a_small_sd_is_fitted_and_states_its_interval():
+def test_a_parameter_with_a_small_sd_is_fitted_with_its_interval():
     number = classify("membrane.young_MPa", 1.1, 0.01, 1.0, "runs/press")
     assert number.state == "fitted" and number.interval == pytest.approx((1.0804, 1.1196))
     assert number.comment == "fitted: 1.080 to 1.120 (95 %), runs/press"
@@ -27,7 +27,7 @@ def test_an_undetermined_parameter_keeps_its_value_and_names_the_needed_recordin
     assert "drag a loaded indenter" in number.comment
 
 
-def test_gas_volume_counts_as_known_against_all_of_the_gas():
+def test_prior_of_the_gas_volume_is_relative_to_all_of_the_gas():
     """The extra volume may be nothing; 0.5 mL of 24 are 2 %."""
     assert classify("chamber.extra_volume_mL", 0.1, 0.5, 0.0, "", gas_mL=24.0).state == "fitted"
     assert (
@@ -36,7 +36,7 @@ def test_gas_volume_counts_as_known_against_all_of_the_gas():
     )
 
 
-def test_two_numbers_of_which_one_follows_the_other_cannot_be_distinguished():
+def test_two_correlated_parameters_cannot_be_distinguished():
     cov = np.array([[1.0, -0.98, 0.1], [-0.98, 1.0, 0.0], [0.1, 0.0, 1.0]])
     names = ["membrane.young_MPa", "membrane.thickness_mm", "membrane.friction"]
     separate = correlations(names, cov, {"membrane.thickness_mm": "not in these recordings"})
@@ -52,7 +52,7 @@ def test_two_numbers_of_which_one_follows_the_other_cannot_be_distinguished():
     ("value", "sd", "text"),
     [(1.23456, 0.01, "1.235"), (0.9, 0.2, "0.90"), (185.123, 3.0, "185.1"), (5.0, math.inf, "5")],
 )
-def test_as_many_digits_as_mean_something(value, sd, text):
+def test_values_are_rounded_to_their_uncertainty(value, sd, text):
     assert digits(value, sd) == text
 
 
@@ -79,5 +79,5 @@ def test_the_sensor_file_loads_and_keeps_its_comments():
     assert found.markers == load_sensor("dense").markers
 
 
-def test_every_number_is_a_field_of_the_sensor_file():
+def test_every_parameter_is_a_field_of_the_sensor_file():
     assert set(ABOUT) <= {label for label, *_ in config_fields.scalars(SensorDesign)}

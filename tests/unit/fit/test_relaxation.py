@@ -13,7 +13,7 @@ from mjtactile.fit.relaxation import RelaxationFit, _solve, fit_relaxation
 STEPS = "time_s,depth_mm,shear_mm,speed_mm_s,force_N\n2,3,,,\n9,,,,\n"
 
 
-def test_fractions_and_their_sd_of_a_gauge_with_noise():
+def test_relaxation_fractions_and_their_sd_with_sensor_noise():
     """The stated sd of the fitted fractions equals the scatter of many fits.
 
     All markers of an image move by the error of its pressure sensor.
@@ -70,7 +70,7 @@ def test_a_held_and_released_press_determines_the_relaxation(tmp_path, capsys):
     assert found.faded_sd < 0.15 * faded
 
 
-def test_a_recording_that_states_nothing_of_it_is_refused(tmp_path):
+def test_a_recording_without_relaxation_information_is_refused(tmp_path):
     command = ["record", "--rig", "stage", "--sensor", "dense", "--seconds", "0.5"]
     assert main([*command, "--out", str(tmp_path / "short")]) == 0
     with pytest.raises(

@@ -65,7 +65,7 @@ def roll(env, seed, actions):
     ("observation", "effects"),
     [("wrench", SAMPLED), ("markers", "-mesh,-images"), ("image", "-mesh")],
 )
-def test_gymnasiums_own_check_passes(observation, effects):
+def test_the_check_of_gymnasium_passes(observation, effects):
     """Spaces, seeds, determinism of reset and step; with images also render."""
     how = {"render_mode": "rgb_array"} if observation == "image" else {}
     env = make(observation=observation, effects=effects, **how)
@@ -103,7 +103,7 @@ def test_reset_compiles_nothing(env, monkeypatch):
     env.reset(seed=8)
 
 
-def test_an_object_put_back_stands_where_a_new_world_has_it(env):
+def test_a_reset_object_has_its_initial_pose(env):
     """The moved egg against one that was compiled in its place, both at rest: pose and cup. An egg
     that rocks in its cup is within microns, not digits."""
     env.reset(seed=7)
@@ -129,7 +129,7 @@ def test_a_crushed_egg_ends_the_episode():
             sampled.unwrapped.step(CLOSE)
 
 
-def test_a_gripper_that_rises_alone_has_dropped_it(env):
+def test_a_gripper_that_rises_without_the_object_has_dropped_it(env):
     up = np.array([0.0, 0.0, 1.0], np.float32)
     _, (_, reward, terminated, _), info = roll(env, 0, [up] * 60)
     assert (
@@ -140,7 +140,7 @@ def test_a_gripper_that_rises_alone_has_dropped_it(env):
     )
 
 
-def test_an_empty_gripper_is_not_paid_for_releasing():
+def test_an_empty_gripper_has_no_reward_for_releasing():
     """An empty gripper that rises a little and comes down open gets no reward for release.
 
     An object that was never held counts as dropped.
@@ -157,7 +157,7 @@ def test_an_empty_gripper_is_not_paid_for_releasing():
     assert info["outcome"] == "dropped" and sum(paid) == -1.0
 
 
-def test_a_gripper_is_paid_for_how_far_it_releases():
+def test_reward_increases_with_the_release_distance():
     """The release reward is proportional to the opening: zero at a grip's goal 4 mm ahead of the
     jaws, one at 8 mm beyond them."""
     for opening, fraction in ((0.036, 0.0), (0.042, 0.5), (0.048, 1.0)):
@@ -174,7 +174,7 @@ def test_random_objects_are_those_of_the_seeds():
         assert again[0] == again[2] != again[1] == one.reset(seed=8)[1]["break_force_N"]
 
 
-def test_time_runs_out():
+def test_an_episode_ends_at_its_time_limit():
     with make(time_limit=0.3) as short:
         shown, (_, reward, terminated, truncated), info = roll(
             short, 0, [np.zeros(3, np.float32)] * 30
@@ -188,7 +188,7 @@ def test_time_runs_out():
     )
 
 
-def test_no_truth_is_shown(env):
+def test_observations_contain_no_ground_truth(env):
     names = policy_observation_names()
     assert (
         not [name for name in names if "true" in name]
@@ -197,7 +197,7 @@ def test_no_truth_is_shown(env):
 
 
 @pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.slow)])
-def test_several_at_once_are_each_its_own(mode):
+def test_vectorized_environments_are_independent(mode):
     envs = gymnasium.make_vec(
         mjtactile.gym.ID, num_envs=2, vectorization_mode=mode, effects=SAMPLED
     )
@@ -210,7 +210,7 @@ def test_several_at_once_are_each_its_own(mode):
             np.testing.assert_array_equal(shown[k], roll(env, 5 + k, [CLOSE] * 3)[0][-1])
 
 
-def test_a_world_that_varies_is_a_new_one():
+def test_a_randomized_world_is_rebuilt():
     with make(randomization="default", effects=SAMPLED) as randomized:
         infos = [randomized.reset(seed=seed)[1] for seed in (1, 2, 1)]
     assert infos[0]["randomized"] == infos[2]["randomized"] != infos[1]["randomized"]
@@ -245,7 +245,7 @@ def episodes(count, seed, steps, **how):
 
 
 @pytest.mark.parametrize("randomization", ["none", pytest.param("default", marks=pytest.mark.slow)])
-def test_an_environment_is_independent_of_their_number(randomization):
+def test_results_are_independent_of_the_number_of_environments(randomization):
     """Bit for bit, in threads, over the end of an episode: the squeezed egg breaks."""
     alone = episodes(1, 5, 60, randomization=randomization, threads=1)
     np.testing.assert_array_equal(episodes(2, 5, 60, randomization=randomization, threads=2), alone)

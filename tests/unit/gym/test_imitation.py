@@ -47,7 +47,7 @@ def test_a_teacher_that_releases_early_does_not_open_the_policys_jaws(phase):
     assert command.lift_height == pytest.approx(0.01 - 0.010 * observation.period)
 
 
-def test_a_policy_that_is_down_opens_before_its_teacher():
+def test_a_lowered_policy_opens_before_its_teacher():
     observation = at("lower", 0.0005)
     teacher = replace(observation.command, lift_height=0.0, phase="lower")
     action = teacher_action(observation, teacher)

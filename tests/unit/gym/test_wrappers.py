@@ -41,7 +41,7 @@ class Counted(gymnasium.Env):
         return 2 * SCALE, -1.0 if n == 4 else float(n), n == 4, False, {}
 
 
-def test_an_action_stands_for_some_steps_and_an_end_costs_the_stated_reward():
+def test_an_action_is_repeated_and_an_early_end_has_the_stated_reward():
     env = ActionRepeatScaling(Counted(), steps=3, fear=0.3)
     shown, _ = env.reset()
     np.testing.assert_array_equal(shown, 2)

@@ -73,7 +73,7 @@ def test_a_size_may_depend_on_arguments_of_the_call():
         bound("apply_gas_load", ..., *args)
 
 
-def test_indices_of_items_that_are_not_there_are_refused():
+def test_indices_out_of_range_are_refused():
     p = np.zeros((3, 3))
     for triangles in ([[0, 1, 3]], [[0, -1, 2]]):
         with pytest.raises(ValueError, match="kernel chamber_volume: invalid arguments"):
@@ -107,7 +107,7 @@ def test_a_membrane_of_too_few_splines_is_refused():
     assert np.isfinite(coarse.membrane.state(np.zeros((3, 16))).volume)
 
 
-def test_as_many_neighbours_as_there_are():
+def test_neighbours_are_limited_to_the_available_markers():
     """The kernel matches all markers with any number of neighbours.
 
     Beyond 64 the kernel refused, and its unwritten output was taken for marker numbers.

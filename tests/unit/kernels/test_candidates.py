@@ -27,7 +27,7 @@ def test_settings_are_in_the_order_of_the_c_struct():
     ]
 
 
-def test_moments():
+def test_image_moments_equal_numpy():
     """Sums of integers to the fourth power, in double precision."""
     rng = np.random.default_rng(0)
     image = np.zeros(SIZE, np.uint8)
@@ -78,7 +78,7 @@ def sampled(rng, n):
 
 
 @pytest.mark.parametrize("polarity", ["dark", "bright"])
-def test_judgement(polarity):
+def test_validation_equals_numpy(polarity):
     seen = set()
     for seed in range(30):
         fit, found = sampled(

@@ -99,7 +99,7 @@ def test_light_noise_and_rounding(scene):
         ).all()
 
 
-def test_bilinear():
+def test_bilinear_interpolation_equals_numpy():
     """The kernel equals scipy's interpolation, which excludes points beyond the grid, to
     rounding."""
     rng = np.random.default_rng(5)

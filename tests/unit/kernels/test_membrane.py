@@ -80,7 +80,7 @@ def test_unstrained_rubber_has_the_moduli_of_small_strain(rubber):
     np.testing.assert_allclose(stiffness_rows(model, sensor.flex_id), expected, rtol=1e-6)
 
 
-def test_contact_that_remembers():
+def test_contact_memory_equals_numpy():
     """The kernel's contact memory equals numpy's, run in parallel on the same contacts with its own
     copy of the model."""
     model, data, sensor = scene()

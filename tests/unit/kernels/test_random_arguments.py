@@ -106,7 +106,7 @@ def within(rng, entry):
 
 
 @pytest.mark.parametrize("seed", range(DRAWS))
-def test_a_pipeline_with_sampled_settings_states_something(seed):
+def test_a_pipeline_with_sampled_settings_returns_a_result(seed):
     images = membrane_images.sequence()
     sensing_pipeline = SensingPipeline(
         load_sensor("paper16"), settings=sampled(np.random.default_rng(seed))

@@ -112,7 +112,7 @@ def test_membrane(law):
     )
 
 
-def test_a_stiffness_that_is_not_definite_is_pushed():
+def test_an_indefinite_stiffness_is_regularized():
     """Crumpled by millimetres, the sheet has no positive definite tangent; Newton's step is finite
     and downhill all the same."""
     ours = spline_fem.SplineMembrane(load_sensor("dense"), (14, 10))

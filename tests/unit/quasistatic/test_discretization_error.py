@@ -59,7 +59,7 @@ def test_a_membrane_is_as_fine_as_its_obstacle_requires(solver):
     assert solver.refined_for(wire).relative_force_error(wire) > 0.03
 
 
-def test_a_corner_that_no_node_meets_is_no_force_without_uncertainty(solver):
+def test_a_corner_between_nodes_has_an_uncertain_force(solver):
     c, s = np.cos(0.4), np.sin(0.4)
     tilt = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
     blade = solver.obstacle("box", (1.5e-4, 4e-3, 0.01), R_SO=tilt)
@@ -97,7 +97,7 @@ KINDS_WITH_A_LOWEST_PLACE = {
 
 
 @pytest.mark.parametrize("kind", KINDS_WITH_A_LOWEST_PLACE)
-def test_a_body_s_lowest_place_is_where_its_heights_are_smallest(solver, kind):
+def test_the_lowest_point_of_an_obstacle_has_its_smallest_height(solver, kind):
     rotation = Rotation.from_euler("xyz", [0.3, 0.2, 0.5]).as_matrix()
     body = solver.obstacle(kind, KINDS_WITH_A_LOWEST_PLACE[kind], (1e-3, -1e-3, 6e-3), rotation)
     low = lowest_point(body)

@@ -92,7 +92,7 @@ def test_frame_and_body_carry_the_gas_load(fine):
     np.testing.assert_allclose(mirrored.heights[::-1, ::-1], state.heights, atol=2e-6)
 
 
-def test_one_jump_and_many_steps_end_at_the_same_force(coarse):
+def test_a_single_step_and_many_steps_have_the_same_force(coarse):
     state = coarse.rest
     for height in np.linspace(10.8, 5.0, 30):
         state = coarse.solve(ball(coarse, 8, (1, 0.5), height), state)
@@ -101,7 +101,7 @@ def test_one_jump_and_many_steps_end_at_the_same_force(coarse):
     assert jump.force_normal == pytest.approx(state.force_normal, rel=2e-4)
 
 
-def test_a_membrane_goes_on_as_its_body_does(coarse):
+def test_a_membrane_extrapolates_the_motion_of_its_obstacle(coarse):
     """With the trend, a body that moves on evenly wants half the steps, and one that turns back is
     met as well."""
     steps = {True: 0, False: 0}
@@ -162,7 +162,7 @@ def test_a_solution_that_does_not_converge_is_nan(coarse):
     assert again.converged.all()
 
 
-def test_a_batch_is_each_of_its_membranes_with_any_number_of_threads(coarse):
+def test_a_batch_equals_single_membranes_for_any_thread_count(coarse):
     obstacles = [[ball(coarse, 8, (k, -k), 9.5)] for k in range(5)]
     one, three = (coarse.solve_batch(obstacles, threads=threads) for threads in (1, 3))
     assert one.converged.all()
@@ -181,7 +181,7 @@ def test_a_batch_is_each_of_its_membranes_with_any_number_of_threads(coarse):
         coarse.solve_batch(obstacles[:3], into=one)
 
 
-def test_a_membrane_that_went_to_another_process_is_the_same(coarse):
+def test_a_pickled_membrane_is_the_same(coarse):
     membrane = pickle.loads(pickle.dumps(coarse))
     body = ball(coarse, 8, (1, 2), 9.5)
     np.testing.assert_array_equal(membrane.solve(body).x, coarse.solve(body).x)

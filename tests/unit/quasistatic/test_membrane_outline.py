@@ -156,7 +156,7 @@ def test_contact_with_the_round_rim_is_reported():
         solver.solve(ball)
 
 
-def test_a_membrane_that_was_put_away_knows_its_outline():
+def test_a_pickled_membrane_keeps_its_outline():
     solver = QuasistaticMembrane(ROUND, (21, 21), PRESSURE)
     again = pickle.loads(pickle.dumps(solver))
     ball = solver.obstacle("sphere", (5e-3,), p_SO=(0, 0, 6e-3))

@@ -231,7 +231,7 @@ def test_a_wall_close_behind_a_block_changes_nothing(quasistatic, behind):
     assert both.force_normal == pytest.approx(alone.force_normal, rel=0.01)
 
 
-def test_cones_and_wedges_press_the_deeper_the_harder(quasistatic):
+def test_the_force_of_cones_and_wedges_increases_with_depth(quasistatic):
     for kind, sizes in (("cone", (6e-3, 6e-3)), ("wedge", (5e-3, 3e-3, 5e-3))):
         forces = [
             force(quasistatic, quasistatic.obstacle(kind, sizes, (0, 0, z)))
@@ -254,7 +254,7 @@ def test_a_tilted_box_is_met_at_its_edge(quasistatic, tilt):
     assert forces[0] == pytest.approx(forces[1], rel=1e-3)
 
 
-def test_nothing_that_cannot_be_is_taken(quasistatic):
+def test_impossible_obstacle_data_are_refused(quasistatic):
     for data, message in (
         (np.full((21, 16), np.nan), "finite"),
         (np.zeros((4, 3)), "volume"),

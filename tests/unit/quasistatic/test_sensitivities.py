@@ -33,7 +33,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_they_agree_with_finite_differences(monkeypatch, name):
+def test_sensitivities_agree_with_finite_differences(monkeypatch, name):
     monkeypatch.setattr(
         "mjtactile.quasistatic.membrane.TOLERANCE", 1e-10
     )  # tolerance in m; differences are 1e-6
@@ -73,7 +73,7 @@ def test_they_agree_with_finite_differences(monkeypatch, name):
 @pytest.mark.parametrize(
     ("name", "seen"), [("ball", range(4)), ("quadric", range(5)), ("box", [HEIGHT])]
 )
-def test_quick_answers_are_nearly_the_derivatives(name, seen):
+def test_fast_derivatives_approximate_the_derivatives(name, seen):
     """Quick changes of heights and forces equal the exact ones, except for in-plane motion.
 
     The parameters of a box other than its height set the ends of its face, which are not `seen`.
@@ -120,7 +120,7 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
     np.testing.assert_allclose(off[3:, 3:], -leaning, atol=0.1 * abs(torque).max())
 
 
-def test_by_its_pose_is_by_a_shape_that_moves():
+def test_derivative_by_pose_equals_that_of_a_moved_shape():
     membrane = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     place, tilt = np.array([2e-3, 1e-3, 8.2e-3]), Rotation.from_euler("xyz", [0.3, 0.1, 0.5])
 
@@ -140,7 +140,7 @@ def test_by_its_pose_is_by_a_shape_that_moves():
         np.testing.assert_allclose(found, same, atol=2e-4 * abs(same).max())
 
 
-def test_a_state_that_does_not_know_its_bodies_has_no_derivative_by_pose():
+def test_a_state_without_its_obstacles_has_no_derivative_by_pose():
     membrane = QuasistaticMembrane("dense", (11, 9), 1000.0)
     ball = membrane.obstacle("sphere", (8e-3,), (0, 0, 9e-3))
     with pytest.raises(InputError, match="belongs to a batch"):

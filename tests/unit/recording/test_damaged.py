@@ -71,7 +71,7 @@ def flipped(lines, seed):
 
 
 @pytest.mark.parametrize("damage", [changed, flipped])
-def test_damage_never_gets_beyond_the_reader(tmp_path, complete, damage):
+def test_damaged_values_are_rejected_by_the_reader(tmp_path, complete, damage):
     lines = (complete / "log.jsonl").read_bytes().splitlines(keepends=True)
     sound = load_recording(complete)
     reported = 0
@@ -112,7 +112,7 @@ def images_of(folder):
 
 
 @pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "missing"])
-def test_a_damaged_image_costs_its_cycle_only(tmp_path, damage):
+def test_a_damaged_image_loses_only_its_cycle(tmp_path, damage):
     """A power cut leaves the last files empty; a bit may flip anywhere."""
     write_fake_recording(tmp_path, count=6)
     path = next(one for one in images_of(tmp_path) if one.name.startswith("000003"))

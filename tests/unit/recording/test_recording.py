@@ -72,7 +72,7 @@ def test_unknown_force_is_null_in_the_file_and_nan_again_when_read(tmp_path):
 
 
 @pytest.mark.parametrize("keep", [0.4, 0.5, 0.9, 0.999])
-def test_a_recording_cut_off_anywhere_still_loads(tmp_path, keep):
+def test_a_truncated_recording_can_be_read(tmp_path, keep):
     write_fake_recording(tmp_path, count=20)
     log = tmp_path / "log.jsonl"
     content = log.read_bytes()
@@ -83,7 +83,7 @@ def test_a_recording_cut_off_anywhere_still_loads(tmp_path, keep):
     assert len(list(recording.images())) == len(recording)  # a line is written after its images
 
 
-def test_without_truth_the_column_is_unknown_not_zero(tmp_path):
+def test_without_ground_truth_the_column_is_nan(tmp_path):
     with Recorder(tmp_path, {}) as recorder:
         recorder.add(fake_cycle(0))
     assert np.isnan(load_recording(tmp_path).column("force_normal_true")).all()
@@ -98,7 +98,7 @@ def test_a_column_that_no_recording_has_is_an_error_with_the_names(tmp_path):
         recording.column("phase")
 
 
-def test_all_that_is_estimated_comes_back_in_its_shape(tmp_path):
+def test_estimates_are_read_back_with_their_shape(tmp_path):
     """Wrench, slip and contact of every finger are read back in their shape; unknown values are NaN
     in that shape."""
     estimated = fake_touch(0.5, 0.0)
@@ -171,7 +171,7 @@ def test_frames_may_be_left_out_and_the_log_stays_complete(tmp_path, frames, kep
             recording.require_images()
 
 
-def test_a_recording_of_before_these_columns_still_loads(tmp_path):
+def test_an_old_recording_without_these_columns_can_be_read(tmp_path):
     write_fake_recording(tmp_path, count=3)
     log = tmp_path / "log.jsonl"
     rows = [json.loads(line) for line in log.read_text().splitlines()]
@@ -223,7 +223,7 @@ def test_the_cycle_shown_is_of_the_hold_phase(tmp_path):
     assert recorder.snapshot is not None and recorder.snapshot.sent.phase == "hold"
 
 
-def test_no_recording_and_a_foreign_file_are_named(tmp_path):
+def test_missing_recordings_and_other_files_are_named(tmp_path):
     with pytest.raises(InputError, match=r"log\.jsonl"):
         load_recording(tmp_path)
     (tmp_path / "log.jsonl").write_text('{"format": "other"}\n')
@@ -291,7 +291,7 @@ def test_a_memory_that_contains_itself(tmp_path, caplog):
 
 
 @pytest.mark.parametrize("disk_wait_time", [0.0, 0.05])
-def test_a_disk_that_stands_still_holds_up_nothing(tmp_path, caplog, monkeypatch, disk_wait_time):
+def test_a_blocked_disk_does_not_block_the_run(tmp_path, caplog, monkeypatch, disk_wait_time):
     """The first image takes for ever, or as long as this test; the loop is held up for
     `disk_wait_time` at most, once."""
     over = threading.Event()

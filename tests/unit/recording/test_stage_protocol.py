@@ -23,7 +23,7 @@ def test_shipped_protocols_load(name):
     assert read_moves(name)[-1].time > 0
 
 
-def test_a_note_comes_back(tmp_path):
+def test_a_note_is_read_back(tmp_path):
     moves = (Move(1.0, 2e-3, 0.0, 5e-3), Move(2.0), Move(3.0, 1e-3, -5e-4, 2e-3, 0.25))
     stage = Stage("sphere:8", (1e-3, 0.0), moves)
     back = stage_from_note(json.loads(json.dumps(to_json(stage.note()))), "log.jsonl")

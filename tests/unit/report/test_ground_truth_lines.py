@@ -56,7 +56,7 @@ def scene(place=PLACE):
     return Scene(place, P_WS[None], R_WS[None])
 
 
-def test_a_true_ball_lies_on_the_lines_of_one_that_is_estimated_rightly():
+def test_lines_of_an_accurate_estimate_lie_on_the_true_ball():
     shape = ball()
     pieces = true_lines(shape, scene(), 0)
     off = np.linalg.norm(pieces - PLACE - [0, 0, RADIUS], axis=2)
@@ -80,7 +80,7 @@ def orange(image):
     return np.argwhere((r > 180) & (g < 180) & (b < 90))
 
 
-def test_a_section_shows_how_far_the_estimated_body_is_off():
+def test_a_section_shows_the_error_of_the_estimated_shape():
     size = (150, 480)
     right = plot_section(ball(), true_lines(ball(), scene(), 0), size)
     deep = ball(place=PLACE + [0, 0, 1e-3])

@@ -96,7 +96,7 @@ def test_the_page_agrees_with_the_recording(tmp_path):
     assert (tmp_path / "summary.html").stat().st_size < 3e6
 
 
-def test_images_and_membranes_are_those_of_their_time(tmp_path):
+def test_images_and_membranes_have_the_time_of_their_cycle(tmp_path):
     # not the same from any two sides
     lopsided = 1 + 0.05 * np.arange(17)[:, None] + 0.02 * np.arange(21)
     cycles = [
@@ -176,7 +176,7 @@ def test_a_run_without_images_without_touch_or_without_a_cycle(tmp_path):
         assert ("no image was kept" if cycles else "ended before the first cycle") in found.text
 
 
-def test_a_recording_that_was_not_kept_complete_is_shown_as_far_as_it_goes(tmp_path):
+def test_an_incomplete_recording_is_shown_to_its_end(tmp_path):
     cycles = [fake_cycle(k) for k in range(10)]
     with Recorder(tmp_path, {}, frames=3) as recorder:
         for cycle in cycles:
@@ -189,7 +189,7 @@ def test_a_recording_that_was_not_kept_complete_is_shown_as_far_as_it_goes(tmp_p
 
 
 @pytest.mark.parametrize("count", [1, 5, 8, 9, 16, 17, 100, 1000])
-def test_a_strip_is_even_however_long_the_run(count):
+def test_a_strip_has_equal_spacing_for_any_duration(count):
     strip = DecimatedHistory(8)
     cycles = [fake_cycle(0)] * count
     for number, cycle in enumerate(cycles):

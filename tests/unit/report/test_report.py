@@ -67,9 +67,7 @@ def test_a_run_without_a_cycle(tmp_path):
 
 
 @pytest.mark.parametrize("alive", [True, False])
-def test_a_process_beside_the_run_renders_the_same_and_one_that_ended_is_not_missed(
-    tmp_path, monkeypatch, alive
-):
+def test_a_render_process_gives_the_same_images_and_may_end(tmp_path, monkeypatch, alive):
     monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
     cycles = write_fake_recording(tmp_path, count=20)
     shots = []
@@ -89,7 +87,7 @@ def test_a_process_beside_the_run_renders_the_same_and_one_that_ended_is_not_mis
     assert shots[0] == shots[1]
 
 
-def test_without_room_for_a_process_it_is_rendered_here(tmp_path, monkeypatch):
+def test_without_memory_for_a_process_the_report_is_rendered_in_process(tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise BlockingIOError("no more processes")
 
@@ -101,21 +99,21 @@ def test_without_room_for_a_process_it_is_rendered_here(tmp_path, monkeypatch):
     assert (tmp_path / "summary.png").exists()
 
 
-def test_with_one_processor_there_is_no_second_process(monkeypatch):
+def test_with_one_processor_no_render_process_starts(monkeypatch):
     monkeypatch.setenv("PYTHON_CPU_COUNT", "1")
     monkeypatch.setattr(process, "start", None)  # would raise
     with figure_writer_process() as beside:
         assert beside._worker is None
 
 
-def test_an_error_of_the_process_is_reported_here(tmp_path, monkeypatch):
+def test_an_error_of_the_render_process_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHON_CPU_COUNT", "2")
     write_fake_recording(tmp_path, count=3)
     with figure_writer_process() as beside, pytest.raises(FileNotFoundError, match="no/such"):
         beside(tmp_path / "no/such/summary.png", load_recording(tmp_path), None, SUMMARY)
 
 
-def test_arrows_stand_only_where_something_touches_and_their_scale_is_round():
+def test_arrows_are_drawn_at_contacts_only_with_a_round_scale():
     touch = fake_touch(0.6, 0.0)
     stress = report._tractions(touch)
     assert np.array_equal(np.linalg.norm(stress, axis=-1) > 0, touch.contact.mask)
@@ -129,14 +127,14 @@ def test_arrows_stand_only_where_something_touches_and_their_scale_is_round():
     assert report.arrow_unit([fake_touch(0.0, 0.0)]) == 1000.0
 
 
-def test_a_run_that_estimated_nothing_known(tmp_path):
+def test_a_run_without_known_estimates(tmp_path):
     with Recorder(tmp_path, {}) as recorder:
         for i in range(3):
             recorder.add(fake_cycle(i, force=np.nan))
     render(load_recording(tmp_path), recorder.snapshot)
 
 
-def test_without_matplotlib_there_is_one_clear_line(tmp_path, monkeypatch):
+def test_without_matplotlib_one_line_names_the_package(tmp_path, monkeypatch):
     write_fake_recording(tmp_path, count=3)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MjtactileError, match=r"pip install 'mjtactile\[plots\]'"):

@@ -65,7 +65,7 @@ def test_two_sensors_lie_side_by_side_seen_from_above():
     )
 
 
-def test_of_three_sensors_the_last_is_behind_between_the_others():
+def test_the_third_sensor_is_drawn_behind_the_others():
     angle = np.radians([90, 210, 330])
     p_WS = 0.03 * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
     right, _, towards = image_axes(p_WS)

@@ -44,14 +44,14 @@ def test_every_image_shows_its_time(tmp_path, recording):
     np.testing.assert_allclose(greys, 40 + 3 * np.arange(60), atol=1.4)
 
 
-def test_twice_as_fast_a_part_of_it(tmp_path, recording):
+def test_a_part_can_be_rendered_at_twice_the_speed(tmp_path, recording):
     write_video(tmp_path / "film.mp4", recording, speed=2.0, start=0.5, seconds=1.0)
     greys = [frame[60:300, 60:400].mean() for frame in decoded(tmp_path / "film.mp4")]
     np.testing.assert_allclose(greys, 40 + 3 * np.arange(15, 46, 2), atol=1.4)
 
 
 @pytest.mark.slow
-def test_the_scene_is_beside_it(tmp_path, recording):
+def test_the_scene_is_rendered_next_to_the_images(tmp_path, recording):
     write_video(tmp_path / "film.mp4", recording)
     write_video(tmp_path / "scene.mp4", recording, [(0.0, FakeScene(2)), (1.0, DarkScene(2))])
     alone = decoded(tmp_path / "film.mp4")
@@ -63,7 +63,7 @@ def test_the_scene_is_beside_it(tmp_path, recording):
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_small_videos(tmp_path, recording, suffix):
+def test_small_videos_can_be_written(tmp_path, recording, suffix):
     result = write_video(tmp_path / f"film{suffix}", recording)
     assert (tmp_path / f"film{suffix}").stat().st_size > 1000 and result["frames"] > 15
     if suffix == ".gif":  # PyAV does not read an animated WebP
@@ -74,7 +74,7 @@ def test_small_videos(tmp_path, recording, suffix):
         )
 
 
-def test_nothing_but_its_own_video_is_overwritten(tmp_path, recording, capsys):
+def test_only_an_own_video_is_overwritten(tmp_path, recording, capsys):
     quasistatic = tmp_path / "film.mp4"
     words = ["video", str(recording.folder), "--seconds", "0.1", "--out"]
     assert main([*words, str(quasistatic)]) == 0

@@ -51,7 +51,7 @@ def sampled(table, seed=0):
     return read(table).sample(seed, fingers=("left", "right"), markers=81)
 
 
-def test_the_shipped_file_varies_every_name_that_there_is():
+def test_the_shipped_file_randomizes_every_parameter():
     names = {
         f"{section}.{row.key}"
         for section, rows in SECTIONS.items()
@@ -187,7 +187,7 @@ def test_a_changed_object_has_the_right_mass_and_size(name):
     np.testing.assert_allclose(shapes[1], 1.1 * shapes[0], atol=1e-12)
 
 
-def test_the_world_is_as_sampled_and_sensing_does_not_know():
+def test_samples_change_the_world_and_not_the_sensing():
     world = sample_world("default", 3, DESIGN, FILE)
     rig = build_sim_rig(Scenario(sensor=DESIGN, seed=3, effects="-shadows"), sampled=world)
     try:
@@ -209,7 +209,7 @@ def test_the_world_is_as_sampled_and_sensing_does_not_know():
         rig.close()
 
 
-def test_missing_markers_are_not_seen():
+def test_missing_markers_are_not_detected():
     own = AsBuiltSensor("left", missing=(0, 40), light_fraction=0.1)
     true = true_design(DESIGN, own)
     flat = true.markers.p_SM, np.tile([0.0, 0.0, -1.0], (81, 1))
@@ -281,7 +281,7 @@ def gripper(change):
     )
 
 
-def test_play_in_the_gears():
+def test_gear_backlash_is_simulated():
     world, go, gripper_rig = gripper(RigChange(backlash=4e-4))
     go(0.04)
     # half the play behind the motor, which has closed
@@ -293,7 +293,7 @@ def test_play_in_the_gears():
     assert world.opening == pytest.approx(0.0404)
 
 
-def test_commands_that_come_late_come_in_order():
+def test_delayed_commands_keep_their_order():
     world, go, _ = gripper(RigChange(delay=0.010, jitter=0.020))
     openings = []
     for k in range(200):

@@ -20,7 +20,7 @@ class Jaws:
 
 
 @pytest.mark.parametrize(("known", "error"), [(PLAY, 1e-9), (0.0, PLAY / 2)])
-def test_jaws_are_where_they_shall_be_in_both_directions(known, error):
+def test_jaws_reach_the_requested_opening_in_both_directions(known, error):
     """Without compensation they lag by half of the play."""
     jaws = Jaws(0.05)
     play = PlayCompensation(known)
@@ -46,7 +46,7 @@ def test_noise_below_a_quarter_of_the_play_does_not_move_the_motors_back():
     assert play.motor_goal(0.048 - 0.2 * PLAY) < first  # the same direction goes on
 
 
-def test_without_play_nothing_changes():
+def test_without_play_commands_are_unchanged():
     play = PlayCompensation(0.0)
     for goal in (0.05, 0.0481, 0.0493):
         assert play.motor_goal(goal) == goal and play.opening(goal) == goal

@@ -109,7 +109,7 @@ def test_an_unknown_rig_lists_the_known_ones():
         build_rig("simm", load_sensor("paper16"), object_name="egg", seed=0)
 
 
-def test_a_missing_device_is_named_and_nothing_stands_in_for_it():
+def test_a_missing_device_is_named_and_not_replaced():
     from mjtactile.core.errors import DeviceError
 
     with pytest.raises(DeviceError, match="left camera /dev/v4l/by-id/usb-Arducam_Left"):

@@ -85,7 +85,7 @@ def test_a_json_without_a_scenario_and_another_suffix(tmp_path):
         load_scenario(tmp_path / "other.txt")
 
 
-def test_files_are_searched_beside_the_scenario_first(tmp_path, monkeypatch):
+def test_files_next_to_the_scenario_have_priority(tmp_path, monkeypatch):
     (tmp_path / "here").mkdir()
     for folder in (tmp_path, tmp_path / "here"):
         (folder / "mine.py").write_text("")
@@ -266,7 +266,7 @@ def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     assert first.tolist() == mjtactile.load_recording("again").column("force_normal").tolist()
 
 
-def test_options_are_stronger_than_the_file(tmp_path, monkeypatch, capsys):
+def test_options_override_the_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.py").write_text(QUICK)
     (tmp_path / "mine.toml").write_text('object = "vial"\ncontroller = "quick.py"\nseed = 3\n')
@@ -299,7 +299,7 @@ def name_a_program(how):
 
 @pytest.mark.parametrize("how", ["result", "scenario", "absolute", "recording"])
 @pytest.mark.parametrize("command", ["grasp", "studio", "probe", "evaluate"])
-def test_a_program_that_only_data_name_is_not_run(tmp_path, monkeypatch, capsys, how, command):
+def test_a_program_named_only_in_data_is_not_run(tmp_path, monkeypatch, capsys, how, command):
     """A scenario of another person may name any file: without --controller it is refused."""
     if command == "evaluate" and how == "recording":
         pytest.skip("evaluate does not take recordings")
@@ -315,9 +315,7 @@ def test_a_program_that_only_data_name_is_not_run(tmp_path, monkeypatch, capsys,
     assert not (tmp_path / "it_ran").exists()
 
 
-def test_the_worst_episodes_of_merged_results_are_not_run_by_a_program_of_theirs(
-    tmp_path, monkeypatch, capsys
-):
+def test_merged_results_do_not_run_their_own_program(tmp_path, monkeypatch, capsys):
     """Results of another person name a program: their report is written, without its images."""
     monkeypatch.chdir(tmp_path)
     Path("theirs.py").write_text("from pathlib import Path\n" + QUICK)

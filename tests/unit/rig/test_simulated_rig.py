@@ -39,7 +39,7 @@ def test_the_crank_of_three_fingers_is_read_with_its_units():
     assert jaw.transmission.part(math.radians(30)) == pytest.approx(0.110)
 
 
-def test_a_sensor_file_is_found_beside_the_rig_file(table, tmp_path):
+def test_a_sensor_file_next_to_the_rig_file_is_found(table, tmp_path):
     (tmp_path / "mine.toml").touch()
     (tmp_path / "model.xml").touch()
     table["sim"]["model"] = "model.xml"
@@ -94,7 +94,7 @@ def test_a_wrong_field_is_named(table, change, message):
     assert str(PATH) in str(caught.value)
 
 
-def test_devices_and_simulation_are_not_mistaken_for_each_other():
+def test_rig_files_of_devices_and_simulation_are_distinguished():
     with pytest.raises(
         InputError, match=r"sim_arm\.toml: \[sim\]: is simulated: " r"it has no devices"
     ):

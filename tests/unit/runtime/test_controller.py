@@ -39,16 +39,14 @@ def test_a_dataclass_with_deferred_annotations_in_files_of_one_name(tmp_path):
 
 
 @pytest.mark.parametrize("raised", ["GeneratorExit", "SystemExit(3)", "BaseException('x')"])
-def test_whatever_importing_raises_is_one_line(tmp_path, raised):
+def test_every_import_error_is_one_line(tmp_path, raised):
     path = tmp_path / "mine.py"
     path.write_text(f"raise {raised}\n")
     with pytest.raises(ControllerError, match=r"mine\.py: cannot be imported: "):
         load_controller(path)
 
 
-def test_an_edit_of_the_same_length_within_a_second_is_seen_and_nothing_is_left(
-    tmp_path, monkeypatch
-):
+def test_an_edit_of_equal_length_is_reloaded_without_cache_files(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
     path = tmp_path / "mine.py"
     for answer in ("1", "2"):

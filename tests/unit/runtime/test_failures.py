@@ -48,7 +48,7 @@ def test_a_controller_that_raises_an_unexpected_error(raised, tmp_path):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
 @pytest.mark.parametrize("greedy", ["at once", "in a list", "in the notebook"])
-def test_a_step_that_eats_the_memory_is_refused_and_the_gripper_goes_down(greedy):
+def test_a_step_beyond_the_memory_limit_is_refused_and_the_gripper_lowers(greedy):
     """A step that uses up the memory is rejected, and the gripper goes down.
 
     The step gets less than one of 16 GB: to allocate them all would stop the loop for seconds. The
@@ -150,7 +150,7 @@ def test_a_command_made_past_its_checks_leads_to_the_retreat(change):
 
 
 @pytest.mark.parametrize("change", BAD_COMMANDS.values(), ids=BAD_COMMANDS)
-def test_whatever_sending_raises_leads_to_the_retreat(change):
+def test_every_send_error_leads_to_the_retreat(change):
     """Values are checked where they are obeyed, too: not every command is a controller's."""
     world = World()
     cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
@@ -171,7 +171,7 @@ def test_a_retreat_that_cannot_be_sent_is_the_end():
     assert cycle.supervisor.is_over and isinstance(cycle.failure, ZeroDivisionError)
 
 
-def test_a_memory_that_cannot_be_written_is_reported_once_and_the_grasp_goes_on():
+def test_a_memory_that_cannot_be_written_is_reported_once_and_the_grasp_continues():
     """Controller memory that cannot be written is reported once, and the grasp continues.
 
     Recorders and viewers get plain values; the controller keeps its own.
@@ -246,7 +246,7 @@ def test_a_controller_that_does_not_return():
     assert world.has_set_down() and len(cycles) == len(world.sent)
 
 
-def test_a_controllers_module_state_and_its_thread_last_for_the_run():
+def test_module_state_and_thread_of_a_controller_last_for_the_run():
     calls = []
     threads = set()
 
@@ -330,7 +330,7 @@ def test_a_second_signal_ends_at_once():
     assert len(cycles) == 8 and world.lift > 0.015
 
 
-def test_a_controller_cannot_close_blind():
+def test_a_controller_cannot_close_without_an_image():
     world = World()
     world.run("camera", controller=lambda o: replace(o.command, opening=0.0, lift_height=1.0))
     at = world.sent[4].opening

@@ -86,7 +86,7 @@ def test_a_flag_is_in_the_output_of_grasp(closed, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_an_environment_states_its_flags_and_forgets_them_with_the_episode():
+def test_an_environment_returns_its_flags_and_clears_them_at_reset():
     close = np.array([-1.0, 0.0, -0.9], np.float32)
     with gymnasium.make(mjtactile.gym.ID, **SCENE) as env:
         _, info = env.reset(seed=0)
@@ -97,7 +97,7 @@ def test_an_environment_states_its_flags_and_forgets_them_with_the_episode():
         assert env.reset(seed=1)[1]["flags"] == {}
 
 
-def test_notes_are_taken_when_flags_grow_and_at_the_end():
+def test_flags_are_recorded_when_they_change_and_at_the_end():
     flags = {}
     noted = []
 
@@ -115,7 +115,7 @@ def test_notes_are_taken_when_flags_grow_and_at_the_end():
     assert noted == [{"flags": {"sharp_edge": "an edge presses"}}, {"flags": both}]
 
 
-def test_the_last_note_has_the_final_times():
+def test_the_last_record_has_the_final_times():
     tracker = FlagTracker(0.0)
     noted = []
 

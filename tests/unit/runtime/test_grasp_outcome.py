@@ -108,7 +108,7 @@ def test_an_abort_without_a_device_fault_is_the_controllers():
     assert aborted(opened, regulated).device_fault == ""  # the controller vents
 
 
-def test_an_empty_gripper_has_set_nothing_down():
+def test_an_empty_gripper_has_not_set_down():
     """It closed on nothing at the height of the table, and never held an object."""
     log = _Log(Observer(), None, None)
     for phase, opening in (("close", 0.05), ("abort", 0.05), ("abort", 0.06)):
@@ -134,7 +134,7 @@ def loaded(*down: float) -> tuple[Touch, ...]:
         (0.02, 0.0, 0.003, "dropped"),  # the load is within the noise
     ],
 )
-def test_an_object_that_stands_when_the_fingers_open_is_set_down(held, released, height, outcome):
+def test_an_object_on_the_table_when_the_fingers_open_is_set_down(held, released, height, outcome):
     """The gripper may end above its start: the object had slipped, or the table came earlier. The
     decision of the scoring without ground truth is the same as that of the control loop."""
     log = _Log(Observer(), None, None)
@@ -177,7 +177,7 @@ def test_a_failed_grasp_names_the_forces_outside_of_the_controller(
     assert not any("; move" in cause for cause in causes)
 
 
-def test_a_stand_that_blocks_the_jaws_is_the_reason(tmp_path):
+def test_jaws_blocked_by_the_stand_are_reported(tmp_path):
     """Posts beside a test tube stop the frames of the sensors before the membranes are loaded."""
     post = '<geom name="{}" type="capsule" fromto="{} .0053 0 {} .0053 0.03" size="0.0012"/>'
     posts = post.format("left_post", -0.0053, -0.0053) + post.format("right_post", 0.0053, 0.0053)

@@ -34,7 +34,7 @@ AIR = CommandLimits(pressure=(200.0, 2000.0), pressure_rate=600.0)
         (None, (1000.0,), 0.05, None),
     ],
 )
-def test_air_keeps_range_and_rate(requested, last, period, sent):
+def test_commanded_pressure_keeps_range_and_rate(requested, last, period, sent):
     requested = Command(0.05, 1.0, gauge_pressure=requested)
     assert (
         AIR.apply(requested, Command(0.05, 1.0, gauge_pressure=last), period).gauge_pressure == sent
@@ -66,7 +66,7 @@ def run_air(world, valve, step, limits=AIR):
     return control_loop.run_loop(rig, [feels], controller, time_limit=3.0)  # type: ignore[list-item, arg-type]
 
 
-def test_air_starts_at_the_gauge_pressure_and_is_sealed_without_a_command():
+def test_regulation_starts_at_the_measured_pressure_and_ends_sealed():
     valve = Chamber()
     world = World()
     world.lift = 0.0
@@ -95,7 +95,7 @@ def test_air_starts_at_the_gauge_pressure_and_is_sealed_without_a_command():
         ((math.nan,), AIR, "nan is not a finite number"),
     ],
 )
-def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_gripper_goes_down(
+def test_unsupported_pressure_commands_are_refused_and_the_gripper_lowers(
     pressures, limits, message
 ):
     world = World()
@@ -109,7 +109,7 @@ def test_air_that_a_rig_cannot_give_is_refused_by_name_and_the_gripper_goes_down
     assert world.has_set_down()
 
 
-def test_a_blind_rig_keeps_its_air_and_a_retreat_too(supervisor):
+def test_pressure_is_kept_without_images_and_in_a_retreat(supervisor):
     last = replace(LAST, gauge_pressure=(900.0,))
     requested = replace(LAST, gauge_pressure=(2000.0,))
     assert supervisor.decide(0.1, requested, last, (BLIND,), ()).gauge_pressure == (900.0,)

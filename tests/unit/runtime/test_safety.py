@@ -55,7 +55,7 @@ def test_the_retreat_ends_where_the_held_object_stands(supervisor, how, height):
     assert last.opening == pytest.approx(0.05 + RETREAT_OPENING, abs=1e-3)
 
 
-def test_known_forces_let_the_controller_through(supervisor):
+def test_known_forces_do_not_change_the_command(supervisor):
     requested = Command(0.04, 4.0, 0.03, "hold")
     assert supervisor.decide(0.1, requested, LAST, (OK, OK), (SEALED, SEALED)) is requested
     assert supervisor.state == "running"
@@ -75,7 +75,7 @@ def test_unknown_force_neither_closes_nor_lifts(supervisor):
     assert supervisor.state == "running"
 
 
-def test_blind_for_long_goes_down_then_opens_then_latches(supervisor):
+def test_a_long_loss_of_images_lowers_opens_and_latches(supervisor):
     last = LAST
     states = []
     heights = []
@@ -98,7 +98,7 @@ def test_blind_for_long_goes_down_then_opens_then_latches(supervisor):
     assert "no force for 0.5 s: too dark" in supervisor.reason
 
 
-def test_it_never_comes_back_from_safe(supervisor):
+def test_the_safe_state_is_final(supervisor):
     supervisor.make_safe("overload", 0.0)
     supervisor.decide(0.1, Command(0.03, 4.0), LAST, (OK, OK), (SEALED, SEALED))
     assert supervisor.state == "safe"
@@ -113,7 +113,7 @@ def test_a_leak_is_found_by_pressure(supervisor, pressures):
 
 
 @pytest.mark.parametrize(("sealed", "later"), [(4.0, -2.0), (-996.0, -996.0)])
-def test_a_chamber_at_or_below_the_air_s_pressure_does_not_leak(supervisor, sealed, later):
+def test_a_chamber_at_ambient_pressure_does_not_leak(supervisor, sealed, later):
     for time, pressure in ((0.0, sealed), (0.1, later)):  # the noise of a sensor
         valve = ValveState(False, pressure)
         supervisor.decide(time, LAST, LAST, (OK, OK), (valve, valve))
@@ -149,7 +149,7 @@ def test_a_membrane_under_an_unknown_force_does_not_leak(supervisor):
     assert "no force for 0.5 s: on the frame" in supervisor.reason
 
 
-def test_the_jaws_open_only_when_the_gripper_is_down_as_far_as_the_gripper_states(supervisor):
+def test_the_jaws_open_when_the_measured_height_is_low(supervisor):
     """A lift that was stopped is behind; one that stays up for a second is kept up by something."""
     supervisor.make_safe("a fault", 0.0)
     last = LAST
@@ -182,9 +182,7 @@ def test_the_jaws_open_at_once_when_the_gripper_has_come_down_with_its_command(s
     ],
     ids=["empty", "holds", "blind", "no other place", "it stood", "stood and is held again"],
 )
-def test_an_empty_gripper_over_the_place_it_was_given_is_not_driven_into_it(
-    supervisor, place, touch, stood, lands
-):
+def test_an_empty_gripper_is_not_lowered_into_its_target(supervisor, place, touch, stood, lands):
     rig = SimpleNamespace(goal=TaskGoal(place_height=place))
     last = Command(0.06, 4.0, 0.025, "done")
     gripper = GripperState(0.06, 0.0, 0.0, 0.025)
@@ -214,7 +212,7 @@ def test_a_stale_camera_holds_then_opens_and_the_run_ends():
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
-def test_a_faulty_servo_ends_in_the_safe_state_with_its_reason():
+def test_a_servo_fault_leads_to_the_safe_state_with_its_reason():
     """Its touch stays and nothing is measured of its jaws: they were opened, unverified."""
     world = World()
     cycles, message = world.run("gripper")
@@ -231,7 +229,7 @@ def test_a_faulty_servo_ends_in_the_safe_state_with_its_reason():
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
-def test_when_nothing_obeys_the_run_ends_at_once():
+def test_without_a_responding_device_the_run_ends_at_once():
     world = World()
     cycles, message = world.run("all")
     assert len(cycles) == 6 and cycles[-1].state == "latched"
@@ -240,7 +238,7 @@ def test_when_nothing_obeys_the_run_ends_at_once():
     )
 
 
-def test_a_controller_that_fails_is_asked_no_more_and_the_gripper_retreats_first():
+def test_a_failed_controller_is_not_called_again_and_the_gripper_retreats():
     """A failed controller is not called again, and the gripper retreats before it opens.
 
     To open immediately would drop an object held in the air.
@@ -263,7 +261,7 @@ def test_a_controller_that_fails_is_asked_no_more_and_the_gripper_retreats_first
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
-def test_a_controller_that_does_not_end_is_stopped_the_same_way():
+def test_a_controller_that_does_not_return_is_stopped_like_a_failed_controller():
     world = World()
     cycles, message = world.run("", time_limit=1.0)
     assert "still in phase 'approach' after 1 s" in message
@@ -295,7 +293,7 @@ def test_the_retreat_starts_from_the_measured_opening():
     assert all(after.opening >= before.opening for before, after in pairwise(sent))
 
 
-def test_jaws_that_stay_closed_are_not_called_safe():
+def test_jaws_that_stay_closed_are_not_safe():
     supervisor, _ = retreat(lambda goal: LAST.opening)
     assert supervisor.is_over
     assert supervisor.unverified == (
@@ -312,7 +310,7 @@ def test_vanished_forces_verify_a_release_without_measured_openings():
 
 
 @pytest.mark.parametrize(("limit", "opens_with"), [(0.0, 4.0), (None, 4.0), (6.0, 6.0)])
-def test_a_gripper_that_grips_softly_has_the_force_to_open(limit, opens_with):
+def test_a_gripper_with_a_low_force_limit_can_open(limit, opens_with):
     _, sent = retreat(lambda goal: goal, last=replace(LAST, force_limit=limit))
     assert sent[-1].force_limit == opens_with
 
@@ -322,7 +320,7 @@ def test_the_force_is_not_raised_while_the_goal_still_closes_the_jaws():
     assert {one.force_limit for one in sent if one.opening < LAST.opening + 0.005} == {1.0}
 
 
-def test_a_gripper_high_up_has_the_time_to_come_down():
+def test_time_of_the_retreat_includes_the_height():
     """A gripper high up comes down before it opens.
 
     5 s are 0.15 m: from a greater height the held object was dropped.
@@ -342,7 +340,7 @@ def retreat_from(height):
     return supervisor, sent
 
 
-def test_a_gripper_that_is_measured_in_the_air_has_not_landed(supervisor):
+def test_a_gripper_measured_above_the_table_is_not_down(supervisor):
     """A lift that lags: its command is down, the hand is not."""
     up = GripperState(0.06, 0.0, 0.0, 0.02)
     cycle = SimpleNamespace(
@@ -379,7 +377,7 @@ def test_stuck_jaws_after_a_controller_that_raises_are_reported_and_recorded():
     assert facts["not_verified_safe"].startswith("the jaws are at 50.0 mm instead of 65.0 mm")
 
 
-def test_a_retreat_ends_where_the_jaws_do():
+def test_a_retreat_ends_at_the_end_stop_of_the_jaws():
     supervisor = Supervisor(PERIOD)
     supervisor.make_safe("a fault", 0.0)
     last = replace(LAST, lift_height=0.0)

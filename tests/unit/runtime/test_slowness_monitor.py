@@ -50,12 +50,12 @@ def test_a_run_in_real_time_has_no_message():
         ({"perception": 0.7}, ["markers and forces", "--workers"]),
     ],
 )
-def test_a_slow_run_names_its_largest_part_once(given, words):
+def test_a_slow_run_reports_its_slowest_part_once(given, words):
     (text,) = messages(0.09, **given)
     assert all(word in text for word in words), text
 
 
-def test_many_geoms_are_a_cause_and_one_is_not():
+def test_many_geoms_are_reported_as_a_cause():
     (many,) = messages(0.1, physics=0.9, geoms=16)
     (one,) = messages(0.1, physics=0.9)
     assert "in place of these geoms" in many

@@ -133,7 +133,7 @@ def test_every_loop_reports_the_flag(monkeypatch, use):
     assert KIND in use()
 
 
-def test_touches_of_the_simulated_stage_are_watched():
+def test_touches_of_the_simulated_stage_are_monitored():
     """A made-up sensor measures 1 N with 0.4 N; images are 0.1 s apart."""
     stage: Any = object.__new__(SimulatedStage)
     world = SimpleNamespace(time=0.0, timestep=2e-3, flags={}, turn=lambda *_: None)

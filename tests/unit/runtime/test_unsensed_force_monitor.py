@@ -45,7 +45,7 @@ def test_gear_friction_and_data_sheet_tolerances_raise_no_flag(watch, free, effo
     assert not pushed(watch, effort, estimated)
 
 
-def test_a_frame_that_carries_ten_newtons_is_named_with_them(watch):
+def test_a_frame_that_carries_ten_newtons_is_reported(watch):
     pushed(watch, 0.3, 0.0)
     assert not pushed(watch, 11.0, 1.0, 0.1)  # a jolt
     pushed(watch, 0.3, 0.0)
@@ -60,5 +60,5 @@ def test_a_frame_that_carries_ten_newtons_is_named_with_them(watch):
     assert found.last == pytest.approx(3.1, abs=0.07)
 
 
-def test_jaws_that_push_where_no_finger_touches_do_not_pass_for_friction(watch):
+def test_an_unsensed_jaw_force_is_not_friction(watch):
     assert "measure 0.0 N" in pushed(watch, 4.0, 0.0, 3.0)[KIND]

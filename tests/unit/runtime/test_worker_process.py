@@ -21,7 +21,7 @@ def ends():
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, ROOM // 8, ROOM // 8 + 1])
-def test_arrays_arrive_as_they_were_whether_they_fit_or_not(ends, count):
+def test_arrays_are_transferred_unchanged_at_any_size(ends, count):
     one, other = ends
     numbers = RNG.normal(size=count)
     odd = RNG.integers(0, 256, (1, 1, 1), np.uint8)  # the next one begins at an even place
@@ -48,7 +48,7 @@ def test_an_answer_needs_no_memory(ends):
     np.testing.assert_array_equal(one.receive(1.0)[0], np.arange(20000))
 
 
-def test_a_closed_process_refuses_requests_like_a_lost_one():
+def test_a_closed_process_refuses_requests_like_a_lost_process():
     ours, its = socket.socketpair()
     with its:
         one = Channel(ours, lent=mmap.mmap(-1, ROOM))

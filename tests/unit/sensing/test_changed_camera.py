@@ -91,7 +91,7 @@ def test_a_shift_without_a_load_is_no_face_on_the_frame():
 
 
 @pytest.mark.parametrize("table", BEFORE, ids=str)
-def test_a_change_that_ends_with_the_references_is_none_either(clean, table):
+def test_a_change_that_ends_with_the_references_is_not_reported(clean, table):
     for touch, requested in zip(touches(references=table), clean, strict=True):
         assert touch.status == "ok"
         assert abs(touch.force_normal - requested) < 0.05
@@ -172,7 +172,7 @@ def test_overexposed_references_are_refused(sensor):
 @pytest.mark.parametrize(
     "left", [np.zeros((MODES, MODES)), 1e9 * np.eye(MODES), np.nan * np.eye(MODES)]
 )
-def test_an_image_that_breaks_the_numbers_determines_nothing_of_the_camera(left):
+def test_an_image_with_a_singular_covariance_does_not_change_the_camera_estimate(left):
     """A covariance that is singular, grows, or is no number: the belief stays, and the loop runs."""
     before = CameraDriftFilter.unseen(DEFAULTS.inverse)
     after = before.updated(np.ones(MODES), left, before.root, 1.0)

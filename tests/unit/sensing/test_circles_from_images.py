@@ -52,7 +52,7 @@ def board(height=0.0, depth=37.5, rows=100):
 
 
 @pytest.mark.parametrize("name", SURFACES)
-def test_neighbours_make_depth_better_on_any_smooth_surface(name):
+def test_neighbours_improve_depth_on_any_smooth_surface(name):
     """Neighbours reduce the true depth error on any smooth surface.
 
     A spline of 100 data with d degrees of freedom leaves sqrt(d / 100) of the sd. The flat board
@@ -80,7 +80,7 @@ def test_neighbours_make_depth_better_on_any_smooth_surface(name):
     assert 0.4 < np.sqrt(np.mean(np.concatenate(normalised) ** 2)) < 1.4
 
 
-def test_circles_at_depths_of_their_own_are_left_alone():
+def test_circles_at_independent_depths_are_not_smoothed():
     alone, _ = poses(np.random.default_rng(1).uniform(-1, 1, 100), 0)
     assert agree_on_depth(alone) is None
     few, _ = poses(SURFACES["flat"], 0)
@@ -139,7 +139,7 @@ def test_bright_circles_and_large_ones():
     assert "depth" in detect_circles(image, CAMERA, R, neighbours="always").shared
 
 
-def test_one_grey_from_colour_and_bits():
+def test_color_and_16_bit_images_give_the_same_gray_values():
     image = marker_scenes.image(CAMERA, board(depth=20.0)[:30])
     reference = detect_circles(image, CAMERA, R).poses.p_CM
     for same in (np.dstack([image] * 3), image[..., None], image.astype(np.uint16) * 257):
@@ -166,7 +166,7 @@ def test_a_large_neighbour_does_not_disturb_a_small_circle():
 
 
 @pytest.mark.parametrize(("radius_px", "blur"), [(4, 1.5), (4, 2.0), (5, 1.5)])
-def test_blur_is_not_taken_for_size(radius_px, blur):
+def test_blur_does_not_change_the_size(radius_px, blur):
     depth = 1e-3 * CAMERA.fx / radius_px
     circles = marker_scenes.random_circles(
         CAMERA,
@@ -189,7 +189,7 @@ def test_blur_is_not_taken_for_size(radius_px, blur):
 
 
 @pytest.mark.parametrize("blur", [1.2, 2.0, pytest.param(3.0, marks=pytest.mark.slow)])
-def test_blur_on_small_circles_is_right_or_flagged(blur):
+def test_blurred_small_circles_are_accurate_or_flagged(blur):
     circles = board()
     truth = np.array([c.p_C for c in circles])
     exact = marker_scenes.exact_image(CAMERA, circles, blur_px=blur)
@@ -204,7 +204,7 @@ def test_blur_on_small_circles_is_right_or_flagged(blur):
             assert abs(found.p_CM[i, 2] - truth[k, 2]) < 5 * np.sqrt(found.cov_p[i, 2, 2])
 
 
-def test_glare_over_an_outline_is_flagged_not_left_out():
+def test_glare_over_an_outline_is_flagged_and_kept():
     circles = board(depth=15.0)[33:67]
     image = marker_scenes.image(CAMERA, circles)
     u, v = np.rint(optics.project(CAMERA, circles[14].p_C)).astype(int)

@@ -81,7 +81,7 @@ def test_a_pattern_beyond_the_image_keeps_its_numbers_as_it_passes():
     assert len(numbers) > 30
 
 
-def test_a_dot_that_was_covered_comes_back_as_itself():
+def test_a_covered_dot_keeps_its_number_when_it_reappears():
     images = [image_of(START), image_of(np.delete(START, 8, axis=0) + 2), image_of(START + 4)]
     first, without, again = track_circles(images)
 
@@ -93,7 +93,7 @@ def test_a_dot_that_was_covered_comes_back_as_itself():
     assert id_at(again, START[8] + 4) == own
 
 
-def test_in_space_where_camera_and_radius_are_known():
+def test_positions_in_space_with_known_camera_and_radius():
     # image of a sensor; only lens and radius are given
     design = load_sensor("paper16")
     p_SM = design.markers.p_SM

@@ -37,7 +37,7 @@ def test_second_moments_give_the_shape():
     np.testing.assert_allclose(ellipse.shape_from_moments(second), shape, rtol=1e-9, atol=1e-9)
 
 
-def test_covariances_convert_there_and_back_even_for_a_circle():
+def test_covariances_of_axes_and_shape_are_inverse_for_a_circle_too():
     axes, angle, _ = shapes(3)
     axes = axes.copy()
     axes[0, 1] = axes[0, 0]

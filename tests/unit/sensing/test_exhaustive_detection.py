@@ -127,7 +127,7 @@ def as_pixels(grey):
 @pytest.mark.parametrize(
     ("correlation", "contrast", "seed"), [(1.5, 25, 0), (4.0, 25, 0), (4.0, 8, 100), (7.0, 8, 102)]
 )
-def test_texture_is_not_taken_for_circles(correlation, contrast, seed):
+def test_texture_gives_no_circles(correlation, contrast, seed):
     """Blobs of smoothed noise are refused. Some have the outline of a circle: without the blobs
     that are alike, 0, 5, 12 and 6 of them are trusted. Of the finest texture more than 680
     candidates are fitted."""
@@ -163,7 +163,7 @@ def test_a_gradient_of_the_light_is_not_a_texture():
     assert trusted(found, circles) == len(circles)
 
 
-def test_nothing_at_all():
+def test_an_empty_image_has_no_circles():
     found, rejected, _ = detect_thoroughly(np.full((480, 640), 128, np.uint8))
     assert len(found) == len(rejected) == 0
 

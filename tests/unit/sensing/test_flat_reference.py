@@ -51,7 +51,7 @@ def test_radius_of_each_marker_is_found():
     assert np.abs(markers.p_SM[:, 2]).max() < 1.5e-4
 
 
-def test_a_camera_that_sits_askew_is_found_and_taken_out():
+def test_a_tilted_camera_is_estimated_and_corrected():
     """Tilt and shift the scene before the camera: the same images as from a camera that is mounted
     askew."""
     R_SC = geometry.rotation_from_vector(np.array([0.01, -0.015, 0.02]))
@@ -88,7 +88,7 @@ def test_a_reference_of_another_sensor_is_refused():
 
 
 @pytest.mark.parametrize("stuck_inflated", [False, True])
-def test_a_valve_that_does_not_move_is_noticed_without_a_pressure_sensor(stuck_inflated):
+def test_a_stuck_valve_is_detected_without_a_pressure_sensor(stuck_inflated):
     """A valve that does not move is detected by equal references.
 
     The membrane either stays flat, or was never flat.

@@ -63,7 +63,7 @@ def test_force_is_the_membranes(membrane, at, radius, depth):
     assert found.center == pytest.approx(np.array(at), abs=6e-4)
 
 
-def test_nothing_touches(membrane):
+def test_no_contact_gives_zero_force(membrane):
     found = estimate_force_from_surface(
         points_of(membrane, membrane.rest),
         1000.0,
@@ -74,7 +74,7 @@ def test_nothing_touches(membrane):
     assert np.abs(found.force).max() < 1e-9 and found.area == 0 and np.isnan(found.center).all()
 
 
-def test_shift_turn_and_pressure(membrane):
+def test_shift_rotation_and_pressure(membrane):
     # statics: a quarter's turn and a shift of the frame take the force along; twice all pressures
     # on the same shapes, twice the force
     state = pressed(membrane, (4e-3, 3e-3), 6e-3, 2.5e-3)

@@ -42,7 +42,7 @@ def depth_errors(found):
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-def test_gamma_is_identified_by_the_circles_and_undone(gamma):
+def test_gamma_is_estimated_from_the_circles_and_corrected(gamma):
     image = encoded(gamma)
     known = detect_circles(image, CAMERA, R, gamma=gamma)
     identified = detect_circles(image, CAMERA, R, gamma="auto")
@@ -56,7 +56,7 @@ def test_gamma_is_identified_by_the_circles_and_undone(gamma):
     assert np.abs(error).max() < 0.2 and (normal**2).mean() < 2
 
 
-def test_a_wrong_gamma_is_reported_and_in_the_error_bars():
+def test_a_wrong_gamma_is_reported_and_widens_the_standard_deviation():
     found = detect_circles(encoded(2.2), CAMERA, R)
     error, normal = depth_errors(found)
     assert error.mean() > 0.3  # dark circles look small and far away
@@ -78,7 +78,7 @@ def test_compression_widens_the_standard_deviation(gamma):
     assert (depth_errors(found)[1] ** 2).mean() < 2
 
 
-def test_nothing_is_reported_where_there_is_too_little_information():
+def test_gamma_is_not_reported_with_too_little_information():
     """A sharp image has no grey levels between; fewer than six circles do not count; nor does a
     clipped ground."""
     assert np.isnan(detect_circles(encoded(2.2, blur_px=0.2), CAMERA, R).gamma.value)

@@ -32,7 +32,7 @@ def flat(sensing_pipeline):
     )
 
 
-def test_no_images_are_no_reference(sensing_pipeline, flat):
+def test_missing_images_give_no_reference(sensing_pipeline, flat):
     with pytest.raises(DeviceError, match="flat reference: 0 images"):
         sensing_pipeline.measure_flat_reference(sensing_pipeline.initial_state(), [])
     with pytest.raises(DeviceError, match="rest reference: no images"):
@@ -40,7 +40,7 @@ def test_no_images_are_no_reference(sensing_pipeline, flat):
 
 
 @pytest.mark.parametrize("count", [0, 1, 16])
-def test_markers_that_are_none_or_nowhere_are_no_reference(sensing_pipeline, flat, count):
+def test_missing_or_invalid_markers_give_no_reference(sensing_pipeline, flat, count):
     nowhere = Markers(
         np.arange(count),
         np.full((count, 3), np.nan),
@@ -58,7 +58,7 @@ def test_an_invalid_pressure_is_reported(sensing_pipeline, flat, pressure):
 
 
 @pytest.mark.parametrize("pressure", [1e9, -1e9, 1e5])
-def test_a_pressure_that_nothing_holds_is_refused(sensing_pipeline, flat, pressure):
+def test_a_pressure_without_an_equilibrium_is_refused(sensing_pipeline, flat, pressure):
     with pytest.raises(MjtactileError, match="no equilibrium of the membrane was found"):
         sensing_pipeline.measure_rest_reference(flat, membrane_images.sequence().rest, pressure)
 
@@ -83,7 +83,7 @@ def test_touch_without_markers_reports_it(sensing_pipeline, flat):
     assert np.isnan(touch.force_normal)
 
 
-def test_a_radius_that_is_no_number_is_reported():
+def test_a_radius_that_is_not_finite_is_reported():
     ellipses = detect(membrane_images.sequence().flat[0])
     for radius in ("x", None, [1e-3, "x"], object()):
         with pytest.raises(InputError, match="radius: "):
@@ -102,7 +102,7 @@ def enlarged(image, at, radius):
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("larger", [1.12, 1.5])
-def test_a_speck_on_one_marker_costs_one_marker(sensor, larger):
+def test_a_speck_on_a_marker_loses_only_that_marker(sensor, larger):
     """A speck costs one marker: forces change by no more than one marker of 16 and two sd, 25
     mN."""
     design = load_sensor(sensor)

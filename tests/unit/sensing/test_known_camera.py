@@ -72,7 +72,7 @@ def clean():
 
 
 @pytest.mark.parametrize("table", CHANGES, ids=str)
-def test_it_recovers_within_an_image(clean, table):
+def test_force_is_accurate_in_the_first_image_after_a_camera_change(clean, table):
     """The first image after the change, and all later ones, are within 0.03 N of the force without
     it.
 
@@ -104,7 +104,7 @@ def test_a_camera_change_is_reported():
     assert curved.gamma == pytest.approx(1.3, abs=0.1)
 
 
-def test_circles_that_grew_by_their_level_are_taken_back_exactly():
+def test_circle_growth_by_the_gray_level_is_corrected_exactly():
     """Circle growth from the grey level is corrected exactly, for any amount.
 
     Through the glass the camera appears closer by the glass's shortening. From there a circle's
@@ -146,7 +146,7 @@ def estimate_after_loss(sensor, fraction, load):
 
 @pytest.mark.parametrize("load", [0.0, 0.4])
 @pytest.mark.parametrize("fraction", [0.01, 0.03])
-def test_gas_that_is_lost_without_a_gauge_is_distinguished_from_the_camera(fraction, load):
+def test_lost_gas_without_a_pressure_sensor_is_distinguished_from_a_camera_change(fraction, load):
     """A lower bulge is a camera farther away, gas that is gone, or a load. With the first known,
     the first image after the loss is right; without, 3 % are half a newton."""
     for off, sd in estimate_after_loss(SENSOR, fraction, load):
@@ -170,7 +170,7 @@ def covered(*ids, of=DESIGN):
     return change
 
 
-def test_dirty_fiducials_cost_themselves(clean):
+def test_covered_fiducials_lose_only_themselves(clean):
     """With three of ten fiducials half covered, the others determine the camera, and no marker is
     lost or confused."""
     for now, then in zip(touches(covered(0, 4, 7)), clean, strict=True):
@@ -180,7 +180,7 @@ def test_dirty_fiducials_cost_themselves(clean):
         assert abs(touch.force_normal - requested.force_normal) < 0.02
 
 
-def test_without_fiducials_the_camera_is_where_it_was_last(clean):
+def test_without_visible_fiducials_the_last_camera_estimate_is_kept(clean):
     """With all fiducials covered after a shift, the last correction still applies, and no change is
     reported."""
     sensor, images = started()
@@ -196,7 +196,7 @@ def test_without_fiducials_the_camera_is_where_it_was_last(clean):
 @pytest.mark.parametrize(
     ("hidden", "level"), [((), "ok"), ((2,), "warn"), (tuple(range(8)), "bad")]
 )
-def test_doctor_reports_how_many_are_seen_and_where_they_stand(hidden, level):
+def test_doctor_reports_count_and_position_of_visible_fiducials(hidden, level):
     """`doctor` reports the number of detected fiducials, their shift and their size.
 
     The image is shifted by 4 px and -3 px and is 1 % larger. Circle centers and lens leave half a
@@ -214,7 +214,7 @@ def test_doctor_reports_how_many_are_seen_and_where_they_stand(hidden, level):
     assert not list(fiducial_findings("camera left", load_sensor("dense"), shown))
 
 
-def test_fiducials_are_no_markers():
+def test_fiducials_are_not_detected_as_markers():
     """Fiducials are never named as markers, even after a shift of ten pixels with missing markers
     next to them."""
     sensor, images = started()
@@ -227,7 +227,7 @@ def test_fiducials_are_no_markers():
     assert np.abs(markers.p_SM - DESIGN.markers.p_SM[markers.ids])[:, :2].max() < 2e-3
 
 
-def test_a_sensor_without_them_knows_nothing_of_it():
+def test_a_sensor_without_fiducials_has_no_camera_estimate():
     images = membrane_images.sequence("dense")
     sensor = StatefulPipeline.of(load_sensor("dense"))
     sensor.measure_flat_reference(images.flat)
@@ -238,7 +238,7 @@ def test_a_sensor_without_them_knows_nothing_of_it():
     assert touch.markers.fiducials is None
 
 
-def test_they_are_rows_of_the_same_fit():
+def test_correction_by_fiducials_equals_the_joint_fit():
     """Correction by fiducials equals the joint least-squares fit.
 
     Loads x and a camera d have markers H x + D d and fiducials F d, all with unit noise. The other
@@ -269,7 +269,7 @@ def test_they_are_rows_of_the_same_fit():
     assert np.linalg.lstsq(ours, left, rcond=None)[0][:6] == pytest.approx(joint, abs=1e-10)
 
 
-def test_one_that_is_far_off_counts_for_nothing():
+def test_an_outlier_fiducial_has_no_weight():
     sensor, _ = started()
     finder = sensor.pipeline.detector.known._camera
     rest = sensor.state.reference.fiducials
@@ -289,7 +289,7 @@ def replace_ids(seen, count):
 
 
 @pytest.mark.parametrize(("light", "gamma", "black"), [(1.0, 1.3, 0.0), (0.7, 1.0, 30.0)])
-def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
+def test_the_tone_is_that_of_a_known_curve(light, gamma, black):
     rng = np.random.default_rng(0)
     vignetting = rng.uniform(0.7, 1.0, 10)
     then = 40 * vignetting, 185 * vignetting
@@ -302,7 +302,7 @@ def test_the_tone_is_that_of_a_curve_that_is_known(light, gamma, black):
     assert np.isnan(tone_of(empty, empty, *then).gamma)
 
 
-def test_a_calibration_keeps_where_they_were():
+def test_a_calibration_stores_fiducial_positions():
     sensor, images = started()
     markers = sensor.pipeline.detect_rest_markers(sensor.state, images[:1])
     part = RestMarkers(markers, 1000.0, sealed=True)
@@ -311,5 +311,5 @@ def test_a_calibration_keeps_where_they_were():
         assert getattr(again.markers.fiducials, name) == pytest.approx(value)
 
 
-def test_the_settings_are_its_own():
+def test_camera_settings_are_separate():
     assert DEFAULTS.override({"fiducials.min_visible": 6}).fiducials.min_visible == 6

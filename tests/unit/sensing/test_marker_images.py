@@ -29,7 +29,7 @@ def test_bad_polarity():
         markers.detect(np.zeros((48, 64), np.uint8), polarity="grey")
 
 
-def test_image_files(tmp_path):
+def test_image_files_can_be_read(tmp_path):
     circles = marker_scenes.random_circles(marker_accuracy.CAMERA, np.random.default_rng(5))
     image = marker_scenes.image(marker_accuracy.CAMERA, circles)
     records = locate(image, marker_accuracy.CAMERA, marker_accuracy.RADIUS)

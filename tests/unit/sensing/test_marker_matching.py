@@ -119,7 +119,7 @@ def test_unknown_expectations_come_from_the_neighbours():
     np.testing.assert_array_equal(marker_matching.match(moved, expected, layout), np.arange(81))
 
 
-def test_nothing_seen_is_no_error():
+def test_no_detected_markers_are_no_error():
     layout = load_sensor("dense").markers.p_SM
     assert len(marker_matching.match(np.zeros((0, 3)), layout, layout)) == 0
     np.testing.assert_array_equal(

@@ -86,7 +86,7 @@ def test_blur_does_not_bias_the_size(circles, blur):
 
 
 @pytest.mark.parametrize(("depth", "sd_bound"), [(0.04, 0.006), (0.10, 0.02), (0.20, 0.03)])
-def test_ellipse_covariance_is_honest(depth, sd_bound):
+def test_ellipse_covariance_agrees_with_monte_carlo(depth, sd_bound):
     """Monte Carlo over noise: large markers (profiles) and small ones (image fit, 4.5 px)."""
     circles = marker_scenes.random_circles(
         CAMERA, np.random.default_rng(1), depth=(depth, depth), tilt_deg=(15, 30)
@@ -163,7 +163,7 @@ HARD = {
 
 
 @pytest.mark.parametrize("name", HARD)
-def test_hard_light(circles, name):
+def test_uneven_light(circles, name):
     make, minimum = HARD[name]
     exact = marker_scenes.exact_image(CAMERA, circles)
     assert_right_or_flagged(noisy(make(exact, circles)), circles, minimum=minimum)
@@ -264,7 +264,7 @@ def test_touching_and_cut_markers_are_flagged():
     assert (poses.status == fit_validation.CUT).sum() >= 3
 
 
-def test_nothing_there():
+def test_an_empty_image_has_no_markers():
     blank = np.full((480, 640), 128, np.uint8)
     assert len(markers.detect(blank, CAMERA)) == 0
     assert len(estimate_poses(markers.detect(blank, CAMERA), CAMERA, R)) == 0

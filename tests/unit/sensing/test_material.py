@@ -102,7 +102,7 @@ def rigid():
         yield 0.0
 
 
-def test_solid():
+def test_a_rigid_object_is_solid():
     found = estimate_material(squeeze(rigid))
     assert found.kind == "solid" and found.probability["solid"] > 0.9 and found.status == "ok"
     # three sd of the fit's free width, 10 um noise over 50 images
@@ -113,7 +113,7 @@ def test_solid():
 
 
 @pytest.mark.parametrize("stiffness", [200.0, 1000.0, 3000.0])
-def test_soft_gives_back_its_stiffness_and_modulus(stiffness):
+def test_stiffness_and_modulus_of_a_soft_object_are_recovered(stiffness):
     found = estimate_material(squeeze(standard_linear_solid(stiffness)))
     assert found.kind == "soft" and found.status == "ok"
     # the free width is known to some 20 um, of 0.3 mm for the stiffest
@@ -123,7 +123,7 @@ def test_soft_gives_back_its_stiffness_and_modulus(stiffness):
     assert found.relaxation_time == 0.0 and abs(found.permanent_set) < 30e-6
 
 
-def test_membranes_do_not_count(monkeypatch):
+def test_compliance_of_the_membranes_is_excluded(monkeypatch):
     """The same object between softer membranes has the same estimated stiffness."""
     monkeypatch.setattr(sys.modules[__name__], "GRIP", GRIP / 1.6)
     found = estimate_material(squeeze(standard_linear_solid(1000.0)))
@@ -141,7 +141,7 @@ def test_relaxation_time(tau):
 
 
 @pytest.mark.parametrize(("yield_force", "viscosity"), [(0.4, 40.0), (0.05, 400.0)])
-def test_amorphous_keeps_its_set(yield_force, viscosity):
+def test_an_amorphous_object_has_a_permanent_set(yield_force, viscosity):
     found = estimate_material(squeeze(yielding(3000.0, yield_force, viscosity)))
     assert found.kind == "amorphous" and found.status == "ok"
     assert (
@@ -152,7 +152,7 @@ def test_amorphous_keeps_its_set(yield_force, viscosity):
     assert found.speed > 1e-4 or yield_force > 0.3
 
 
-def test_too_little_contact_is_a_verdict():
+def test_too_little_contact_is_reported():
     history = squeeze(rigid)
     faint = Squeeze(
         history.time,
@@ -168,7 +168,7 @@ def test_too_little_contact_is_a_verdict():
         assert sum(found.probability.values()) == pytest.approx(1.0)
 
 
-def test_a_paste_need_not_push_back():
+def test_a_paste_below_the_minimum_force_is_amorphous():
     """It never reaches the least force, but its width has shrunk by millimetres."""
     found = estimate_material(squeeze(yielding(3000.0, 0.08, 30.0)))
     assert found.kind == "amorphous" and found.force < 0.35
@@ -179,7 +179,7 @@ def test_without_a_second_touch_the_release_decides():
     assert found.kind == "amorphous" and "no second touch" in found.status
 
 
-def test_noise_makes_it_undecided_not_wrong():
+def test_with_noise_the_kind_is_undecided_and_not_wrong():
     """With 0.4 mm of noise, the class of an object that yields by 0.2 mm stays undecided."""
     kinds = [
         estimate_material(squeeze(standard_linear_solid(4000.0), noise=4e-4, seed=seed))

@@ -43,7 +43,7 @@ def test_fractions_are_of_the_force_and_torques_have_a_lever():
     assert sd(estimated, sparse, sparse=(0.0, 0.2, 0.0, 0.0))[2] == pytest.approx(0.8)
 
 
-def test_shear_that_cancels_itself_is_uncertain_all_the_same():
+def test_canceling_shear_is_uncertain_too():
     estimated = loaded([0.5, 0.0, 0.0], [-0.5, 0.0, 0.0])
     assert sd(estimated, lateral=(0.1, 0.0, 0.0, 0.0))[:2] == pytest.approx([0.1, 0.1])
 
@@ -69,7 +69,7 @@ def test_only_positions_beyond_the_markers_are_outside():
     assert sd(loaded([0.0, 0.0, 0.0], [0.0, 0.0, -1.0]), **shares)[2] == pytest.approx(0.5)
 
 
-def test_beside_the_outermost_markers_a_quarter_counts_and_half_a_pitch_within_nothing():
+def test_near_the_outermost_markers_a_fraction_of_the_load_is_uncertain():
     """Those of `dense` are at 16 mm, 4 mm apart."""
     pressed = loaded([0.0, 0.0, -1.0])
     found = [
@@ -94,7 +94,7 @@ def test_a_force_that_comes_at_once_may_press_anywhere():
     assert half[2] == 0.0
 
 
-def test_sharpness_counts_up_to_a_limit():
+def test_the_sharpness_term_has_a_limit():
     estimated = [
         sd(loaded([0.0, 0.0, -1.0], [0.0, 0.0, 0.0], excess=mean), sharp=(0.0, 0.01, 0.0, 0.0))[2]
         for mean in (5, 20, 70)
@@ -132,7 +132,7 @@ def test_a_membrane_that_moves_sideways_drags():
     )
 
 
-def test_a_wrench_that_changes_is_known_less():
+def test_a_changing_wrench_is_less_certain():
     estimated = replace(AT_REST, change=np.array([0.1, 0.0, 0.4, 0.0, 1e-3, 2e-3]))
     assert sd(estimated, change=(0.1, 0.5, 0.2, 0.3)) == pytest.approx(
         [0.01, 0, 0.2, 0, 2e-4, 6e-4]

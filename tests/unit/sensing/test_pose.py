@@ -86,7 +86,7 @@ def test_closed_form_is_exact():
     np.testing.assert_allclose(*np.linalg.norm(both_p, axis=2), rtol=1e-12)
 
 
-def test_face_on_circle_is_harmless():
+def test_a_frontoparallel_circle_is_exact():
     p = np.array([[0.0, 0.0, 0.04]])
     n = np.array([[0.0, 0.0, -1.0]])
     both_p, both_n = circles.circles_from_cones(exact_cones(p, n), np.array([R]))

@@ -70,7 +70,7 @@ def test_an_error_that_all_normals_share_does_not_hide_the_plane():
 
 
 @pytest.mark.slow
-def test_circles_with_tilts_of_their_own_are_as_sure_as_they_are_right():
+def test_confidence_for_independent_tilts_equals_the_success_rate():
     """16 circles each in 6 images, tilted by 0 to 60 degrees: the binomial sd of the share is
     0.045."""
     decided = []

@@ -30,7 +30,7 @@ def stages():
     return [value for value in vars(DEFAULTS).values() if dataclasses.is_dataclass(value)]
 
 
-def test_every_number_has_a_description_and_a_source():
+def test_every_setting_has_a_description_and_a_source():
     for owner in (DEFAULTS, *stages()):
         for field in dataclasses.fields(owner):
             if not dataclasses.is_dataclass(getattr(owner, field.name)):
@@ -42,7 +42,7 @@ def test_every_number_has_a_description_and_a_source():
                 assert allowed.integer or allowed.low < allowed.high / 4, field.name
 
 
-def test_a_number_that_was_tried_has_its_row_on_the_page():
+def test_a_tuned_setting_has_its_row_on_the_page():
     page = (Path(__file__).parents[3] / "docs/reference/parameters.md").read_text()
     tried = {
         f"{stage}.{field.name}".lstrip(".")
@@ -58,7 +58,7 @@ def test_a_number_that_was_tried_has_its_row_on_the_page():
     assert shown <= tried and len(shown) + int(quiet) == len(tried)
 
 
-def test_overriding_leaves_the_defaults_and_all_others_alone():
+def test_an_override_changes_no_default_and_no_other_setting():
     other = DEFAULTS.override(
         {"zero.touch_min": 0.5, "inverse.spans": (12, 8), "min_detected": 0.7}
     )
@@ -127,7 +127,7 @@ def test_every_new_name_of_a_setting_exists():
     assert not set(SETTINGS) & (DEFAULTS.to_dict().keys() | sections)
 
 
-def test_settings_go_into_recordings_as_json():
+def test_settings_are_recorded_as_json():
     assert json.loads(json.dumps(DEFAULTS.to_dict()))["zero.touch_min"] == 0.02
 
 

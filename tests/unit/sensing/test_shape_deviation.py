@@ -88,7 +88,7 @@ def test_an_ellipsoid_taken_for_a_ball_has_two_curvatures(forward):
     assert both == pytest.approx([110.0, 75.0], rel=0.1)
 
 
-def test_faces_and_lines_have_none(forward):
+def test_faces_and_lines_have_no_curvature(forward):
     fitted, data = fit(forward, "ball", (90.0, 0.0, 90.0, 0.0, 0.0, 90.0))
     object.__setattr__(fitted, "family", FAMILIES["disc"])
     assert deviation(forward, fitted, data, 1.0) is None

@@ -66,7 +66,7 @@ def marginal(J, own, place):
 
 
 @pytest.mark.parametrize("k2", [100.0, 180.0])
-def test_estimates_add_up_and_differ_with_heavy_tails(k2):
+def test_estimates_are_combined_with_heavy_tails(k2):
     rng = np.random.default_rng(0)
     common = ShapeFilter.of(BALL)
     means, variances = [], []
@@ -166,7 +166,7 @@ def test_one_image_does_not_drift():
     assert ShapeFilter.of(BALL).with_observation(fit).drift == 0.0
 
 
-def test_a_kind_stays_while_the_contact_is_held():
+def test_the_kind_is_constant_in_a_hold():
     """Noise moves a force by some per cent and a position by 0.1 mm; a new load is more."""
     place = np.array([1e-3, 2e-3])
     chosen = ReportedKind("smooth", 0.3, place)

@@ -71,7 +71,7 @@ def test_parameters_survive_the_coding(name):
     np.testing.assert_allclose(decoded, theta, atol=1e-9)
 
 
-def test_the_shipped_network_knows_other_presses(start, presses):
+def test_the_shipped_network_is_accurate_on_other_presses(start, presses):
     """Firm presses: two of five models contain the right one in 82 % of its own test."""
     firm = np.flatnonzero((presses.force > 0.2) & (presses.group < len(FAMILIES)))
     found = proposed(start, presses)
@@ -105,7 +105,7 @@ def test_shipped_sensors_have_a_network(sensor):
     assert path.is_file()
 
 
-def test_a_file_keeps_a_network(tmp_path):
+def test_a_network_is_read_back_from_its_file(tmp_path):
     """Also of a sensor with 16 markers and one with an outline; few presses, and no accuracy."""
     for sensor in ("paper16", "round30"):
         design = load_sensor(sensor)
@@ -136,7 +136,7 @@ def test_a_network_fits_a_function():
     assert network(x[0]).shape == (1,)
 
 
-def test_the_cache_is_found(tmp_path, monkeypatch):
+def test_the_cached_network_is_used(tmp_path, monkeypatch):
     design = load_sensor("dense")
     thicker = replace(design, membrane=replace(design.membrane, thickness=0.36e-3))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

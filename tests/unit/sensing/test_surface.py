@@ -250,7 +250,7 @@ def test_slope_sd_is_that_of_the_axis_ratio():
     assert slope_sd_of(-view, view, [6e-4])[0] == pytest.approx(np.sqrt(6e-4), rel=1e-12)
 
 
-def test_a_normal_that_is_the_wrong_one_of_two_does_no_harm():
+def test_the_wrong_normal_of_an_ambiguous_pair_has_no_effect():
     design = load_sensor("dense")
     shape = Cosine()
     fitter = SurfaceFitter(design)

@@ -47,7 +47,7 @@ def test_the_fraction_of_the_last_image_is_found(sensor, fraction):
 
 
 @pytest.mark.parametrize("missing", [(), (3, 40)])
-def test_images_of_their_own_do_not_lag(missing):
+def test_unblended_images_have_no_lag(missing):
     assert blend(load_sensor("dense"), 0.0, missing=missing).images == 0.0
 
 

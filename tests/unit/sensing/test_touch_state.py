@@ -64,7 +64,7 @@ def traction(force, sd=5e-3):
 # --------------------------------------------------------------------------------
 
 
-def test_noise_is_learnt_and_a_light_touch_is_estimated_and_released():
+def test_noise_is_estimated_and_a_light_touch_is_detected_and_released():
     rng = np.random.default_rng(0)
     last = None
     for k in range(200):
@@ -99,7 +99,7 @@ def test_no_false_alarm_in_ten_minutes():
     assert alarms <= 1
 
 
-def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
+def test_zero_follows_a_warming_chamber_and_the_force_is_accurate(sensor):
     """The zero follows a warming chamber, and the force of a load is still right.
 
     With 0.3 K, p V grows by 0.1 %. After a minute without touch the estimated force must be zero
@@ -131,7 +131,7 @@ def test_zero_follows_a_warming_chamber_and_leaves_a_right_force(sensor):
 
 
 @pytest.mark.parametrize("kelvin", [0.0, 0.1])
-def test_a_touch_that_comes_slowly_is_not_zeroed_away(sensor, kelvin):
+def test_a_slow_touch_does_not_change_the_zero(sensor, kelvin):
     """0.046 N after nine seconds, which took as long as the zero takes to follow; the gas warms by
     0.1 K before it."""
     estimator, rest = sensor
@@ -247,7 +247,7 @@ def torn(markers):
     return replace(markers, p_SM=markers.p_SM + off)
 
 
-def test_after_a_torn_image_it_goes_on_where_it_was(loaded):
+def test_after_a_torn_image_tracking_continues(loaded):
     sensing_pipeline, strong, surface, state = loaded
     before = sensing_pipeline.estimate_touch(state, strong, surface, 0.3)[0]
     touch, lost = sensing_pipeline.estimate_touch(state, torn(strong), surface, 0.3)
@@ -272,7 +272,7 @@ def test_an_unexplained_image_after_a_large_force_is_an_overload_with_its_force(
     assert touch.status == "ok" and state.lost_at is None
 
 
-def test_a_first_image_may_be_the_middle_of_a_blow(loaded):
+def test_a_first_image_has_the_uncertainty_of_an_impact(loaded):
     """A first image has a standard deviation of a quarter of its force, the next image has not.
 
     All of the force may have appeared just then.
@@ -307,7 +307,7 @@ def light_estimate(sensor, **settings):
     return np.array(found).T
 
 
-def test_a_light_touch_is_not_overlooked_since_nothing_was_estimated_before(sensor):
+def test_a_light_touch_in_the_first_image_is_detected(sensor):
     """A light touch after images without contact is estimated correctly.
 
     Without a second check only a third of it is estimated, until the camera model becomes

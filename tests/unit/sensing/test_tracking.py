@@ -23,7 +23,7 @@ def short(monkeypatch):
 @pytest.mark.parametrize(
     "seed", [1008, 1012, 1014], ids=["undisturbed", "occlusion", "a camera that jumps"]
 )
-def test_nothing_is_wrong_or_missed_for_long(seed):
+def test_matches_are_correct_and_missed_at_most_once(seed):
     row = bench.sequence_row(seed)
     assert row["wrong"] == row["missed_twice"] == 0
     # the ends of a fit differ by where it began: 0.1 sd on a calm membrane
@@ -42,7 +42,7 @@ def follow(image, before=None, **settings):
     )
 
 
-def test_when_it_searches(monkeypatch):
+def test_full_search_is_used_after_lost_tracks(monkeypatch):
     searches = []
     search = markers.search
     monkeypatch.setattr(

@@ -82,7 +82,7 @@ def shown(images, seed=0, **table):
     return [camera(view) for view in images][-1].pixels.astype(float)
 
 
-def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(images):
+def test_every_fault_belongs_to_a_step_and_is_off_by_default(images):
     switches = [name for step in STEPS for name in step.switches]
     assert sorted([*switches, *PARAMETERS]) == sorted(field.name for field in fields(CameraFaults))
     assert {FIELDS[name].key for name in switches} == set(STRONG)
@@ -91,20 +91,20 @@ def test_every_field_belongs_to_a_step_and_all_are_off_unless_asked(images):
 
 
 @pytest.mark.parametrize("key", STRONG)
-def test_each_changes_the_image_and_is_the_same_again(images, key):
+def test_each_fault_changes_the_image_reproducibly(images, key):
     before = images[1].pixels
     one = shown(images, **{key: STRONG[key]})
     assert one.shape == before.shape and not np.array_equal(one, before)
     assert np.array_equal(one, shown(images, **{key: STRONG[key]}))
 
 
-def test_nothing_happens_before_its_time(images):
+def test_a_fault_starts_at_its_time(images):
     camera = FaultyImage(faults(gamma=2, from_s=0.02))
     first, second = [camera(view) for view in images]
     assert first is images[0] and not np.array_equal(second.pixels, images[1].pixels)
 
 
-def test_a_zoom_and_a_shift_move_the_circles_as_they_state(images):
+def test_a_zoom_and_a_shift_move_the_circles_by_the_stated_amounts(images):
     """A zoom about the image center and a shift move the circles by the stated amounts.
 
     Circles are located to 0.02 px; the resampling adds as much.
@@ -118,7 +118,7 @@ def test_a_zoom_and_a_shift_move_the_circles_as_they_state(images):
     assert len(after) == len(before) and nearest.max() < 0.1
 
 
-def test_levels_follow_their_curves():
+def test_gray_levels_follow_their_curves():
     """A wedge of all 256 levels, by the curves' own formulas."""
     level = np.tile(np.arange(256.0), (4, 1))
     wedge = Image(level.astype(np.uint8), 0.0)
@@ -151,7 +151,7 @@ def test_jpeg_is_that_of_the_codec(images):
     assert np.array_equal(shown(images, jpeg_quality=80), want)
 
 
-def test_a_rig_file_and_a_variation_name_them():
+def test_faults_are_read_from_rig_and_variation_files():
     table = {
         **_table("emulated"),
         "emulator": {"as_built": {"left": {"camera": {"gamma": 1.3, "scale_percent": 0.3}}}},
@@ -165,7 +165,7 @@ def test_a_rig_file_and_a_variation_name_them():
         rig_from_table(table, Path("my.toml"))
 
 
-def test_a_seed_samples_them_for_each_finger():
+def test_faults_are_sampled_for_each_finger_by_seed():
     variation = load_variation("camera")
     assert set(variation.spreads) == {f"{CAMERA}.{entry.key}" for entry in FIELDS.values()}
     sampled = variation.sample(3, fingers=("left", "right"), markers=81)

@@ -44,11 +44,11 @@ def table(tmp_path):
 @pytest.mark.parametrize(
     ("asked", "mesh"), [(0.05, (9, 7)), (0.02, (11, 9)), (0.015, (11, 9)), (0.0031, (21, 17))]
 )
-def test_takes_the_cheapest_that_is_good_enough(table, asked, mesh):
+def test_the_cheapest_sufficient_level_is_chosen(table, asked, mesh):
     assert Fidelity.for_force_error(asked, table).mesh == mesh
 
 
-def test_reports_how_close_it_can_get(table):
+def test_an_unreachable_accuracy_reports_the_best_level(table):
     best = Fidelity.for_force_error(0.001, table)
     assert not best.met
     assert best.mesh == (21, 17)
@@ -61,7 +61,7 @@ def test_an_accuracy_out_of_range_is_refused_in_one_line(table, asked):
         Fidelity.parse(asked, table)
 
 
-def test_real_time_leaves_room_and_takes_the_most_accurate(table):
+def test_real_time_chooses_the_most_accurate_level_with_reserve(table):
     # 600 ms/s is 1.67 x real time, 4000 is not; the margin is REAL_TIME_MARGIN
     assert Fidelity.for_real_time(table).mesh == (12, 9)
 
@@ -86,7 +86,7 @@ def test_invalid_accuracies_are_refused(table, text):
         Fidelity.parse(text, table)
 
 
-def test_round_trip(table):
+def test_a_table_is_read_back(table):
     row = Fidelity.for_force_error(0.02, table)
     assert fidelity.row_from_json(row.summary()) == fidelity.row_from_json(
         _row([11, 9], 0.015, 500.0)
@@ -96,7 +96,7 @@ def test_round_trip(table):
 @pytest.mark.parametrize(
     "text", ["{}", "no json", '{"rows": [], "stamp": {"machine": "", "mujoco": "", "date": ""}}']
 )
-def test_refuses_a_broken_table(tmp_path, text):
+def test_a_broken_table_is_refused(tmp_path, text):
     path = tmp_path / "broken.json"
     path.write_text(text)
     with pytest.raises(InputError, match=r"broken\.json"):
@@ -125,7 +125,7 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
         ("0.0001N", "auto", "egg", True),  # nothing is that good, the finest mesh comes closest
     ],
 )
-def test_a_force_error_may_be_had_from_a_membrane_where_the_object_is_round(
+def test_a_round_object_may_use_the_quasistatic_membrane(
     monkeypatch, accuracy, effects, grasped, mesh
 ):
     """For a round object the quasi-static membrane may meet the requested force error, and the rig

@@ -43,7 +43,7 @@ def outlines(design):
     [(load_sensor("dense_fiducials"), 0.015, 0.06), (on_glass(), 0.05, 0.3)],
     ids=["rim", "glass"],
 )
-def test_they_are_where_lens_and_glass_have_them(design, place, size):
+def test_fiducials_are_projected_through_lens_and_glass(design, place, size):
     """Rendered fiducials have the center and size of their outline through lens and glass.
 
     The bounds in px are the edge detector's bias at 0.7 px of blur, and at 2 px, where it reads
@@ -60,7 +60,7 @@ def test_they_are_where_lens_and_glass_have_them(design, place, size):
         assert radius == pytest.approx(np.sqrt(a / np.pi), abs=size)
 
 
-def test_their_ground_is_as_bright_as_the_membrane_and_nothing_else_has_changed():
+def test_fiducials_change_only_their_own_pixels():
     """Within the opening the picture is that of a sensor without them; the lip has the grey level
     of a membrane there."""
     plain = load_sensor("dense")
@@ -82,7 +82,7 @@ def test_their_ground_is_as_bright_as_the_membrane_and_nothing_else_has_changed(
     assert ours[v, u] == pytest.approx(design.leds.membrane_dn * light, abs=0.5)
 
 
-def test_a_sighting_has_them_too():
+def test_synthetic_ellipses_include_fiducials():
     design = load_sensor("dense_fiducials")
     seen = EllipseSampler(design).sample(*flat(design)).ellipses
     assert len(seen) == design.markers.count + 10

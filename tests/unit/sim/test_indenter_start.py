@@ -13,7 +13,7 @@ from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 @pytest.mark.parametrize(
     ("kind", "size", "bottom"), [("sphere", 0.06, 0.06), ("sphere", 0.2, 0.2), ("box", 0.3, 0.15)]
 )
-def test_a_large_indenter_starts_clear_of_the_membrane(kind, size, bottom):
+def test_a_large_indenter_starts_without_contact(kind, size, bottom):
     world = PressWorld("dense", Indenter(kind, size))
     assert world.start_height > bottom
     assert not world.data.ncon

@@ -77,7 +77,7 @@ def test_every_format_is_the_same_solid(name, write, tmp_path):
     assert filled_fraction(vertices, faces) == pytest.approx(AREA / HULL, rel=1e-5)
 
 
-def test_a_hollow_is_cut_once_and_then_known(tmp_path, cache):
+def test_a_hollow_is_decomposed_once_and_cached(tmp_path, cache):
     pytest.importorskip("coacd")
     obj(tmp_path / "l.obj")
     solid = meshes.load_solid(tmp_path / "l.obj")
@@ -105,7 +105,7 @@ def press_flags(path):
     return world.flags
 
 
-def test_a_hull_that_is_used_all_the_same_is_reported(tmp_path, monkeypatch, cache):
+def test_an_approximation_by_the_hull_is_reported(tmp_path, monkeypatch, cache):
     binary(tmp_path / "l.stl")
     monkeypatch.setitem(sys.modules, "coacd", None)  # not installed
     flags = press_flags(tmp_path / "l.stl")
@@ -115,7 +115,7 @@ def test_a_hull_that_is_used_all_the_same_is_reported(tmp_path, monkeypatch, cac
     assert "hull" not in press_flags(tmp_path / "l.stl")
 
 
-def test_a_mesh_that_cannot_be_cut_in_time_is_refused(tmp_path, monkeypatch, cache):
+def test_a_mesh_that_cannot_be_decomposed_in_time_is_refused(tmp_path, monkeypatch, cache):
     """CoACD runs for minutes on an open surface; no signal interrupts it."""
     pytest.importorskip("coacd")
     monkeypatch.setattr(convex_cut, "TIME", 3.0)
@@ -149,7 +149,7 @@ def test_an_indenter_that_is_not_finite_is_refused(tmp_path, geom, message):
 
 
 @pytest.mark.parametrize("text", ["", "solid nothing\nendsolid\n", "vertex 1 2 3\n" * 12])
-def test_no_mesh_is_one_line(text, tmp_path):
+def test_a_missing_mesh_is_reported_in_one_line(text, tmp_path):
     (tmp_path / "part.stl").write_text(text)
     with pytest.raises(InputError) as error:
         meshes.load_solid(tmp_path / "part.stl")

@@ -29,7 +29,7 @@ def scene(inside):
         ('<flexcomp type="grid" name="a" count="300 300 300"/>', "flexcomp"),
     ],
 )
-def test_too_many_copies(tmp_path, inside, field):
+def test_too_many_copies_are_refused(tmp_path, inside, field):
     (tmp_path / "many.xml").write_text(scene(inside))
     with pytest.raises(
         InputError, match=rf"many.xml: {field}: makes \d+ copies; at most {COPIES_MAX} are allowed"
@@ -37,7 +37,7 @@ def test_too_many_copies(tmp_path, inside, field):
         read_mjcf(tmp_path / "many.xml")
 
 
-def test_as_many_as_people_want(tmp_path):
+def test_usual_numbers_of_copies_are_accepted(tmp_path):
     (tmp_path / "some.xml").write_text(
         scene(f'<replicate count="30" offset="0.1 0 0">{GEOM}</replicate>' * 2)
     )
@@ -140,7 +140,7 @@ def test_a_pipe_or_device_in_a_file_is_refused(tmp_path, text, folder):
         read_mjcf(tmp_path / "a.xml")
 
 
-def test_a_trial_changes_nothing_of_a_good_file(tmp_path, monkeypatch):
+def test_a_trial_does_not_change_a_good_file(tmp_path, monkeypatch):
     """A file with a texture is tried once; a plain file, and a shipped one, never."""
     (tmp_path / "good.xml").write_text(texture('builtin="checker" width="300" height="300"'))
     assert len(read_mjcf(tmp_path / "good.xml").textures) == 1

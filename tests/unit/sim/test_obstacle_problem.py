@@ -39,7 +39,7 @@ def ball(radius):
 @pytest.mark.parametrize(
     ("radius", "force"), [(3e-3, 0.03), (8e-3, 0.03), (8e-3, 0.4), (16e-3, 0.3)]
 )
-def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force):
+def test_contact_area_of_a_ball_follows_from_force_pressure_and_tension(radius, force):
     found = membrane(4e-4, ball(radius), force)
     # the membrane leaves without a kink: the contact on the ball carries p + 2 T/R everywhere
     visible_from_below = found.fraction.sum() * found.spacing**2
@@ -49,13 +49,13 @@ def test_a_ball_is_touched_over_its_force_by_pressure_and_tension(radius, force)
     assert found.settled
 
 
-def test_a_face_is_touched_as_far_as_it_goes():
+def test_contact_area_of_a_face_ends_at_its_edges():
     found = membrane(3e-4, lambda x, y: np.where(np.hypot(x, y) < 5e-3, 0.0, np.inf), 0.8)
     # cells on a circle; and they lie flat but for the rim
     assert found.area == pytest.approx(np.pi * 5e-3**2, rel=0.02)
 
 
-def test_a_ridge_is_touched_over_hardly_anything():
+def test_contact_area_of_a_ridge_is_nearly_zero():
     areas = [
         membrane(spacing, lambda x, y: np.where(abs(y) < 5e-3, abs(x), np.inf), 0.2).area
         for spacing in (6e-4, 3e-4)
@@ -71,7 +71,7 @@ def pressed(indenter, mesh, depth, **placing):
     return world
 
 
-def test_contact_area_is_not_the_mesh_s():
+def test_contact_area_is_independent_of_the_mesh():
     coarse, fine = (pressed("sphere:8", mesh, 3e-3) for mesh in ((13, 11), (21, 16)))
     areas = [1e6 * ground_truth.contact_area(world, 0) for world in (coarse, fine)]
     # 53.3, 52.0, 51.1 mm^2 on 13 x 11, 25 x 21 and 41 x 31 vertices, where touching vertices stand
@@ -79,7 +79,7 @@ def test_contact_area_is_not_the_mesh_s():
     assert areas == pytest.approx([51.1, 51.1], rel=0.06)
 
 
-def test_contact_area_of_a_face_and_of_nothing():
+def test_contact_area_of_a_face_and_without_contact():
     world = pressed("cylinder:5", (13, 11), 3e-3, at=(1e-3, 2e-3))
     assert ground_truth.contact_area(world, 0) == pytest.approx(np.pi * 5e-3**2, rel=0.02)
     world.lift_off()

@@ -30,7 +30,7 @@ def _model(geom: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 @pytest.mark.parametrize("kind", GEOMS)
-def test_lines_enter_where_rays_do(kind):
+def test_lines_enter_at_ray_intersections(kind):
     model, data = _model(kind)
     R = data.geom_xmat[0].reshape(3, 3)
     p = data.geom_xpos[0]

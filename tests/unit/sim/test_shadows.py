@@ -65,7 +65,7 @@ def dented(depth, at=(0.0, 0.0), width=3e-3, design=DENSE):
 
 @pytest.mark.parametrize("node", [1e-3, 0.25e-3])
 @pytest.mark.parametrize("level", [0.0, -1.0, 1.0])
-def test_a_ridge_throws_the_shadow_of_similar_triangles(node, level):
+def test_shadow_of_a_ridge_follows_from_similar_triangles(node, level):
     """The shadow of a ridge follows similar triangles.
 
     A ridge along y that ends at x0, h below the membrane, hides an LED at xl up to x0 + (x0 - xl) h
@@ -109,7 +109,7 @@ def dents(x, y):
     ("node", "wrong", "lit_and_wrong"),
     [(1e-3, 0.2, 0.05), pytest.param(0.4e-3, 0.07, 0.018, marks=pytest.mark.slow)],
 )
-def test_rays_meet_the_membrane_where_a_fine_march_does(node, wrong, lit_and_wrong):
+def test_ray_intersections_agree_with_a_fine_march(node, wrong, lit_and_wrong):
     """Rays are blocked as in a march of 1000 steps over the membrane's own formula, for every node
     and LED of a wide ring.
 
@@ -203,7 +203,7 @@ def test_symmetric_scene_gives_a_symmetric_image():
     np.testing.assert_allclose(shaded, shaded[::-1], atol=0.016)
 
 
-def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
+def test_the_wall_of_the_frame_casts_its_shadow_onto_the_membrane():
     """The shadow border of the frame's wall is that of its glass-side edge.
 
     One LED at (xl, 0) is beyond the opening. The edge of the wall at L / 2, depth t below the flat
@@ -239,7 +239,7 @@ def test_the_frame_s_wall_throws_its_edge_onto_the_membrane():
     assert center == pytest.approx(border, abs=0.15e-3)
 
 
-def test_camera_rays_meet_the_membrane_where_it_is():
+def test_camera_rays_end_on_the_membrane():
     """Nodes of a dented membrane, projected through glass and lens, are the positions assigned to
     the pixels there."""
     lens = optics.Camera.from_design(DENSE.camera, DENSE.glass)
@@ -285,6 +285,6 @@ def test_shadows_need_all_markers():
         renderer.render(DENSE.markers.p_SM[:80], OUTWARD[:80])
 
 
-def test_off_leaves_nothing_behind():
+def test_without_shadows_no_state_is_left():
     assert type(Renderer(DENSE)._light) is Light
     assert type(Renderer(DENSE, shadows=True)._light) is ShadowedLight

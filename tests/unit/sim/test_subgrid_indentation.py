@@ -21,7 +21,7 @@ def _lattice_depth(count: int) -> float:
     )
 
 
-def test_the_meshs_radius_is_that_of_a_lattice():
+def test_radius_of_a_mesh_vertex_is_that_of_a_lattice():
     """The equivalent radius of the mesh is that of a lattice.
 
     A disc of radius a under uniform pressure in a square of side L gives (1/2 pi)(ln(L/a) + c). The
@@ -91,7 +91,7 @@ def test_a_straight_edge_equals_a_row_of_vertices():
     )
 
 
-def test_two_vertices_on_one_tip_count_each_other():
+def test_two_vertices_on_a_tip_share_its_load():
     loads = np.array([0.1, 0.1])
     radii = np.array([0.2, 0.2])
     vertices = np.array([[0.0, 0.0], [1.0, 0.0]])
@@ -104,7 +104,7 @@ def test_two_vertices_on_one_tip_count_each_other():
     )
 
 
-def test_profiles():
+def test_indenter_profiles_agree_with_quadrature():
     radii = (0.15, 0.373)
     for slope, curvature in ((0.7, 0.0), (0.0, 0.4), (0.3, 0.2)):
         rises = [np.array([slope * r + curvature * r**2 / 4]) for r in radii]

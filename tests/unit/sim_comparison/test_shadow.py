@@ -74,13 +74,13 @@ def explained(**amounts):
     return explain(recorded, formula, causes_of(False, COMMANDS))
 
 
-def test_nothing_is_named_where_nothing_differs():
+def test_without_a_difference_no_cause_is_reported():
     shadow = explained()
     assert not shadow.differs and shadow.named is None and not shadow.tried
     assert verdict(shadow).startswith("agrees with the simulator")
 
 
-def test_a_leak_is_named_on_its_finger():
+def test_a_leak_is_reported_for_its_finger():
     shadow = explained(leak=(2e-8, 0.0))
     assert named(shadow).cause.name == "leak" and shadow.explains > 0.95
     left, right = named(shadow).amounts
@@ -89,7 +89,7 @@ def test_a_leak_is_named_on_its_finger():
     assert "left: gas leaks" in page(shadow, ("left", "right"), "a run")
 
 
-def test_jaws_that_stand_elsewhere_beside_it_are_allowed_for():
+def test_a_jaw_offset_is_separated_from_the_cause():
     """Jaws that are 0.2 mm off take 0.08 N away; the rubber is softer all the same."""
     shadow = explained(stiffness=(-0.3, -0.3), opening=(2e-4, 2e-4))
     assert named(shadow).cause.name == "stiffness"
@@ -98,7 +98,7 @@ def test_jaws_that_stand_elsewhere_beside_it_are_allowed_for():
     assert shadow.allowed["opening"] == pytest.approx(2e-4, rel=0.4)
 
 
-def test_a_change_without_a_known_cause_is_not_named():
+def test_a_change_without_a_known_cause_is_not_attributed():
     """Pressure that goes up and down is none of the causes."""
     recorded = formula({}, noise=1.0, seed=SEED)
     swing = 200.0 * np.sin(9 * TIME)[:, None]
@@ -120,7 +120,7 @@ def staged(folder, as_built, seconds=1.6):
     return folder
 
 
-def test_a_sensor_as_its_file_states_does_as_the_simulator(tmp_path, capsys):
+def test_a_sensor_equal_to_its_file_agrees_with_the_simulation(tmp_path, capsys):
     folder = staged(tmp_path / "run", load_sensor("dense"))
     assert main(["compare-sim", str(folder), "--out", str(tmp_path / "out"), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -144,7 +144,7 @@ def test_softer_rubber_is_named(tmp_path):
     assert shadow.explains > 0.9
 
 
-def test_creep_is_given_to_the_simulated_membrane():
+def test_creep_is_applied_to_the_simulated_membrane():
     """The simulated membrane gets the creep of the as-built sensor.
 
     An indentation of 1.6 s on a membrane that relaxes by 10 % per decade was identified as 10.1 %;
@@ -188,7 +188,7 @@ class Begins:
 
 
 @pytest.mark.slow(8)
-def test_a_gripper_whose_left_chamber_leaks(tmp_path):
+def test_a_leaking_left_chamber_of_a_gripper_is_named(tmp_path):
     """The commands of a grasp's beginning, given to a simulated hand without the leak."""
     scenario = Scenario(seed=SEED, sensor="paper16", effects="-mesh,-images")
     as_built = (AsBuiltSensor("left", leak=0.06 * ML_S_KPA),)

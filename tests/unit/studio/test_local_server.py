@@ -64,7 +64,7 @@ def get(port, path, **headers):
     ],
     ids=["another site", "no origin", "another port", "another name", "a script"],
 )
-def test_strangers_get_nothing(port, path, headers):
+def test_requests_of_other_origins_are_refused(port, path, headers):
     status, reply_headers, body = get(port, path, **headers)
     assert (
         status == 403 and MODEL not in body and "Access-Control-Allow-Origin" not in reply_headers
@@ -89,7 +89,7 @@ def test_the_page_gets_its_model_and_no_other_page_may_read_it(port, headers):
     assert reply_headers["Cross-Origin-Embedder-Policy"] == "require-corp"  # its threads need it
 
 
-def test_a_page_that_connects_is_known_and_a_stranger_is_none(port):
+def test_an_own_page_is_accepted_and_another_is_refused(port):
     local_server.checked_at.clear()
     get(port, "/")
     get(port, "/state", Origin="https://evil.example")
@@ -99,7 +99,7 @@ def test_a_page_that_connects_is_known_and_a_stranger_is_none(port):
 
 
 @pytest.mark.parametrize(("error", "is_logged"), [(ConnectionClosedOK, False), (OSError, True)])
-def test_a_page_that_closes_while_data_is_sent_is_no_fault(caplog, error, is_logged):
+def test_a_page_closed_during_transfer_causes_no_error(caplog, error, is_logged):
     """An exception that a task of the server leaves is logged by asyncio, with its traceback."""
 
     async def send():

@@ -26,7 +26,7 @@ def run(manual_goal, command, cycles, squeeze=lambda opening: 0.0):
     return command
 
 
-def test_it_goes_to_where_it_is_requested_at_the_grippers_speed_and_keeps_the_controllers_notes():
+def test_manual_motion_has_the_speed_of_the_gripper_and_keeps_the_controller_memory():
     start = Command(0.06, 0.0, 0.0, "lift", {"settled_time": 0.3})
     one = ManualGoal(0.05, 0.02).command(observe(start))
     assert one.opening == pytest.approx(0.06 - 0.03 * PERIOD) and one.lift_height == pytest.approx(
@@ -37,7 +37,7 @@ def test_it_goes_to_where_it_is_requested_at_the_grippers_speed_and_keeps_the_co
     assert (end.opening, end.lift_height) == (0.05, 0.02)
 
 
-def test_it_squeezes_as_hard_as_is_requested():
+def test_manual_grip_has_the_requested_force():
     """The gripper squeezes with the requested force.
 
     A spring of 160 N/m on each finger acts below 50 mm: 0.6 N is measured at 50 mm - 2 x 3.75
@@ -52,12 +52,12 @@ def test_it_squeezes_as_hard_as_is_requested():
     assert end.opening == pytest.approx(0.05 - 2 * 0.6 / 160, abs=1e-5)
 
 
-def test_a_force_that_is_not_known_moves_nothing():
+def test_an_unknown_force_stops_manual_motion():
     command = Command(0.05, 4.0)
     assert ManualGoal(0.0, 0.0, 0.6).command(observe(command, math.nan)).opening == 0.05
 
 
-def test_the_controller_is_asked_while_nothing_is_requested():
+def test_without_a_manual_request_the_controller_acts():
     manual = ManualControl(
         SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0))
     )

@@ -116,7 +116,7 @@ def test_the_panels_numbers_are_the_sessions(gui, bridge):
     np.testing.assert_allclose(gui.plot.geoms["left"][1][0], 1.0)  # kPa
 
 
-def test_a_camera_and_a_membrane_of_each_finger_are_pictured(gui, bridge):
+def test_the_panel_shows_camera_and_membrane_of_each_finger(gui, bridge):
     plugin = Panel(bridge)
     build(plugin)
     assert len(plugin.viewer.images) == 4 and all(
@@ -141,7 +141,7 @@ def test_the_indentation_is_rest_minus_estimated_shape_and_brightest_where_deepe
     assert luminance[2, 2] < luminance[30, 30] < luminance[30, 40]
 
 
-def test_the_tractions_over_the_membrane_are_the_force_and_their_middle_is_the_centre_of_pressure():
+def test_integral_and_centroid_of_tractions_are_force_and_center_of_pressure():
     touch = fake_touch(0.6, 0.0)
     field = surface_colormap.field_of(FingerSnapshot("left", fake_image(0), touch), "traction")
     dx = np.diff(field.x)[0]
@@ -179,7 +179,7 @@ def test_the_membrane_in_the_scene_is_the_estimated_surface():
     ] == [0, 0]
 
 
-def test_geoms_are_those_of_the_touch_and_of_no_other(gui, bridge):
+def test_only_geoms_of_the_touch_are_shown(gui, bridge):
     plugin = Panel(bridge)
     plugin.viewer = FakeViewer()
     stranger = mujoco.MjvGeom()
@@ -203,7 +203,7 @@ def test_geoms_are_those_of_the_touch_and_of_no_other(gui, bridge):
     ]
 
 
-def test_a_triangle_and_an_arrow_are_where_they_belong():
+def test_a_triangle_and_an_arrow_have_the_given_pose():
     brush = scene_overlays.GeomPool()
     corners = np.array([[1.0, 2, 3], [2, 2, 3], [1, 4, 5]])
     for _ in range(2):  # the second time with the same geoms
@@ -224,7 +224,7 @@ def test_a_triangle_and_an_arrow_are_where_they_belong():
     np.testing.assert_allclose(along, [0, 0, 1], atol=1e-6)
 
 
-def test_why_an_ellipse_is_not_trusted_is_reported():
+def test_reasons_of_rejected_ellipses_are_reported():
     ellipses = Ellipses(
         np.zeros((4, 2)),
         np.ones((4, 2)),
@@ -236,7 +236,7 @@ def test_why_an_ellipse_is_not_trusted_is_reported():
     assert flagged_text(None) == ""
 
 
-def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, bridge, monkeypatch):
+def test_exception_of_a_handler_is_shown_and_the_next_handler_runs(gui, bridge, monkeypatch):
     plugin = Panel(bridge)
     monkeypatch.setattr(scene_overlays, "update", lambda *_, **__: 1 / 0)
     build(plugin)
@@ -247,7 +247,7 @@ def test_a_handler_that_raises_is_shown_and_the_next_one_is_called(gui, bridge, 
     assert any(text.startswith("normal") for text in gui.texts)
 
 
-def test_the_desk_asks_the_session(gui, bridge):
+def test_the_control_window_sends_requests_to_the_session(gui, bridge):
     plugin = ControlWindow(bridge)
     session = bridge.session
 
@@ -285,7 +285,7 @@ def test_the_desk_asks_the_session(gui, bridge):
     assert not bridge.paused
 
 
-def test_another_run_is_of_another_object_with_other_effects(gui, bridge):
+def test_another_run_can_change_object_and_effects(gui, bridge):
     plugin = ControlWindow(bridge)
     for label, value in (
         ("object", "vial"),

@@ -40,7 +40,7 @@ def test_image_touch_truth_and_curves_follow_the_time(tape):
         assert len(curves.time) == COUNT and curves.now == pytest.approx(tape.at)
 
 
-def test_it_plays_by_the_clock_to_its_end_and_from_the_start_again(tape, monkeypatch):
+def test_playback_follows_the_clock_and_restarts_at_the_end(tape, monkeypatch):
     clock = [100.0]
     monkeypatch.setattr("mjtactile.studio.playback.wall.monotonic", lambda: clock[0])
     tape.at = 0.0
@@ -54,7 +54,7 @@ def test_it_plays_by_the_clock_to_its_end_and_from_the_start_again(tape, monkeyp
     assert tape.at == 0.0
 
 
-def test_a_tape_keeps_no_images(tape):
+def test_a_playback_stores_no_images(tape):
     assert all(
         estimated.image.pixels.size == 1
         for snapshot in tape._snapshots

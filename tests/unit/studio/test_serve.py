@@ -12,7 +12,7 @@ from tests.fake_run import fake_cycle
 
 
 @pytest.mark.parametrize(("error", "ends"), [(Interrupted(), True), (DeviceError("a wire"), False)])
-def test_ctrl_c_ends_it_and_a_failure_in_a_run_is_shown(monkeypatch, error, ends):
+def test_ctrl_c_ends_the_viewer_and_a_failure_of_a_run_is_shown(monkeypatch, error, ends):
     bridge = SessionBridge()
 
     def fail(*_, **__):

@@ -52,7 +52,7 @@ def test_a_cycle_is_shown_with_its_ground_truth():
     assert "ground truth +0.200 N" in lines
 
 
-def test_a_flag_is_reported_once_and_stays_beside_the_numbers():
+def test_a_flag_is_reported_once_and_shown_next_to_the_values():
     text = []
     bridge = SessionBridge(notify=text.append)
     session = fake_session()
@@ -78,7 +78,7 @@ def test_the_plots_show_the_last_seconds_only():
     assert curves is bridge.history.curves()  # made once a cycle, not once a frame
 
 
-def test_a_pause_holds_the_session_until_it_goes_on():
+def test_a_pause_blocks_the_session_until_resumed():
     bridge = SessionBridge()
     bridge.paused = True
     thread = threading.Thread(target=shown, args=(bridge, 3))
@@ -127,7 +127,7 @@ def test_requests_run_in_the_sessions_thread_and_errors_are_reported():
 
 
 @pytest.mark.parametrize("name", ["restart", "closed"])
-def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from_a_real_one(name):
+def test_another_run_or_a_closed_viewer_ends_simulated_and_retreats_real_rigs(name):
     bridge = SessionBridge()
     getattr(bridge, name).set()
     with pytest.raises(RestartRequested):
@@ -139,7 +139,7 @@ def test_another_run_and_a_closed_viewer_end_a_world_that_waits_and_retreat_from
         bridge.add_reference("flat", [], [])
 
 
-def test_the_red_button_makes_it_safe_and_ends_a_pause():
+def test_the_red_button_makes_the_rig_safe_and_ends_a_pause():
     bridge = SessionBridge()
     bridge.session = fake_session()
     bridge.paused = True
@@ -149,7 +149,7 @@ def test_the_red_button_makes_it_safe_and_ends_a_pause():
         bridge.add_reference("rest", [], [])
 
 
-def test_only_a_world_that_waits_may_be_paused():
+def test_only_a_simulated_world_can_be_paused():
     bridge = SessionBridge()
     assert bridge.may_pause
     bridge.session = fake_session(host_timeout=0.25)

@@ -49,7 +49,7 @@ def tips(tmp_path_factory):
     )
 
 
-def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
+def test_a_plugin_file_adds_sensors_and_steps_them_in_time(tips):
     step = messages.StepEvent(model=tips.model, data=tips.data)
     start = time.monotonic()
     while tips.data.time < 0.6:
@@ -65,7 +65,7 @@ def test_a_plugin_file_puts_sensors_there_and_steps_them_by_the_clock(tips):
     assert estimated.gauge_pressure > 1000 and estimated.temperature == pytest.approx(293, abs=5)
 
 
-def test_it_heeds_a_pause_and_a_reset(tips):
+def test_sensors_follow_pause_and_reset(tips):
     step = messages.StepEvent(model=tips.model, data=tips.data)
     tips.sensors._paused = True
     before = tips.data.time
@@ -114,7 +114,7 @@ def is_open(port):
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
-def test_the_loop_of_the_documents_serves_this_computer_alone_and_no_other_web_site(tmp_path):
+def test_the_documented_loop_accepts_local_connections_only(tmp_path):
     """The loop of docs/how-to/studio.md serves this computer alone, and no other web site.
 
     The test adds a model and an end. It runs in its own process, since MuJoCo's viewer may crash a
