@@ -52,6 +52,7 @@ GROWS = 1.05  # relative growth of the load from slip to slip while the table ca
 DELAY, SETTLING = 0.1, 0.2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
+LIFT_ACCELERATION = 0.1  # m/s^2: a faster start loads the grip by more than the weight
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
@@ -67,6 +68,7 @@ MEMORY_KEYS = {
 }
 START = {f"{clock}_time": 0.0 for clock in ("pull", "wait", "test", "slip")} | {
     "low": WEIGH_HEIGHT,
+    "speed": WEIGH_SPEED,
     "slid": 0.0,
     "target": MIN_FORCE,
     "sent": [],
@@ -204,14 +206,17 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
     if not is_low and command.memory["risk"] != RISK:
         return _test_friction(observation, command)
     if 0.0 < wait_time < GRIP_WAIT:
-        return command  # grip first, within the jaws' limits; waiting longer would not help
+        # grip first, within the jaws' limits; waiting longer would not help
+        return phases.remember(command, speed=WEIGH_SPEED)
     goal = observation.goal.lift_height
     if not load.down and not is_low:
         command = phases.remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
         return phases.enter_phase(command, "hold")
-    rise = (WEIGH_SPEED if is_low else LIFT_SPEED) * observation.period
-    return replace(command, lift_height=min(goal, command.lift_height + rise))
+    faster = min(LIFT_SPEED, command.memory["speed"] + LIFT_ACCELERATION * observation.period)
+    speed = WEIGH_SPEED if is_low else faster
+    height = min(goal, command.lift_height + speed * observation.period)
+    return phases.remember(replace(command, lift_height=height), speed=speed)
 
 
 def _test_friction(now: Observation, command: Command) -> Command:

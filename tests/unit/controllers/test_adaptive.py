@@ -275,6 +275,24 @@ def test_an_object_that_slides_while_its_load_grows_is_lifted_slowly():
     assert np.diff(height)[load[1:] < 0.6].max() < 1.01 * 0.003 * PERIOD
 
 
+def test_the_lift_starts_gently():
+    """A start at 30 mm/s within an image adds a third of the weight; 0.1 m/s^2 adds a hundredth.
+
+    It starts at the 3 mm/s of the first lift.
+    """
+    heights = []
+
+    def carried(k, command):
+        heights.append(command.lift_height)
+        load = min(0.2, 0.05 + 60 * command.lift_height)
+        return (finger(load, normal=command.memory.get("target", 0.3)),) * 2
+
+    run(Command(0.04, 5.0, 0.0, "lift"), carried, 300, TaskGoal(hold_time=60.0))
+    speeds = np.diff(heights) / PERIOD
+    assert speeds.max() == pytest.approx(0.03, rel=1e-6)
+    assert np.diff(speeds).max() < 0.003 + 1.01 * 0.1 * PERIOD
+
+
 def test_it_lifts_only_after_contact_of_all_fingers():
     """An egg in its cup resists one finger."""
     start = Command(0.04, 5.0, 0.0, "regulate")
