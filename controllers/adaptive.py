@@ -52,7 +52,8 @@ GROWS = 1.05  # relative growth of the load from slip to slip while the table ca
 DELAY, SETTLING = 0.1, 0.2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
 LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
-LIFT_ACCELERATION = 0.1  # m/s^2: a faster start loads the grip by more than the weight
+# m/s^2: a step of the speed loads the grip by more than the weight, or unloads it like the table
+LIFT_ACCELERATION = 0.1
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
@@ -213,10 +214,16 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
         command = phases.remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
         return phases.enter_phase(command, "hold")
-    faster = min(LIFT_SPEED, command.memory["speed"] + LIFT_ACCELERATION * observation.period)
-    speed = WEIGH_SPEED if is_low else faster
+    speed = WEIGH_SPEED if is_low else _speed_towards(LIFT_SPEED, observation, command)
     height = min(goal, command.lift_height + speed * observation.period)
     return phases.remember(replace(command, lift_height=height), speed=speed)
+
+
+def _speed_towards(goal: float, observation: Observation, command: Command) -> float:
+    """Return the next speed of the lift axis, m/s, on the way to the `goal`."""
+    step = LIFT_ACCELERATION * observation.period
+    speed = command.memory["speed"]
+    return max(speed - step, min(speed + step, goal))
 
 
 def _test_friction(now: Observation, command: Command) -> Command:
@@ -250,6 +257,7 @@ def _hold(observation: Observation, command: Command, forces: list[float]) -> Co
     follow = min(1.0, 2.0 * observation.period)  # in half a second
     command = phases.remember(command, held=(held + follow * (now - held)).tolist(), pull_time=0.0)
     over = command.memory["phase_time"] >= observation.goal.hold_time
+    command = phases.remember(command, speed=0.0)
     return phases.enter_phase(command, "lower") if over else command
 
 
@@ -261,7 +269,8 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     command = _regulated(observation, command, forces)
     goal = max(0.0, observation.goal.place_height - SEARCH)
     above = command.lift_height - observation.goal.place_height
-    speed = PLACE_SPEED if above < SEARCH else LIFT_SPEED
+    highest = PLACE_SPEED if above < SEARCH else LIFT_SPEED
+    speed = _speed_towards(highest, observation, command)
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_stored(LoadEstimator, command).vector(observation.touch)[0])
     is_standing = stands(carried, float(np.asarray(command.memory["held"])[0]))
@@ -270,7 +279,10 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
         height = max(0.0, observation.gripper.lift_height)
     is_sure = is_standing and command.memory["stands"]  # one image may have an error
     command = phases.remember(
-        replace(command, lift_height=height), settled_time=settled_time, stands=is_standing
+        replace(command, lift_height=height),
+        settled_time=settled_time,
+        stands=is_standing,
+        speed=speed,
     )
     is_down = settled_time > SETTLE_TIME  # the lift has followed
     return phases.start_release(command) if is_sure or is_down else command

@@ -293,6 +293,27 @@ def test_the_lift_starts_gently():
     assert np.diff(speeds).max() < 0.003 + 1.01 * 0.1 * PERIOD
 
 
+def test_lowering_changes_its_speed_gently():
+    """A start at 30 mm/s within an image unloads the fingers like the table.
+
+    From rest to 30 mm/s, and 10 mm/s near the table, with 0.1 m/s^2.
+    """
+    goal = TaskGoal(hold_time=0.1)
+    heights = []
+
+    def carried(k, command):
+        if command.phase == "lower":
+            heights.append(command.lift_height)
+        return (finger(0.2, normal=command.memory.get("target", 0.3)),) * 2
+
+    run(holding(0.2)[0], carried, 90, goal)
+    speeds = -np.diff(heights) / PERIOD
+    assert speeds[0] < 0.004
+    assert speeds.max() == pytest.approx(0.03, rel=1e-6)
+    assert speeds[-1] == pytest.approx(0.01, rel=1e-6)
+    assert np.abs(np.diff(speeds)).max() < 1.01 * 0.1 * PERIOD
+
+
 def test_it_lifts_only_after_contact_of_all_fingers():
     """An egg in its cup resists one finger."""
     start = Command(0.04, 5.0, 0.0, "regulate")
