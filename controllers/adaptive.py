@@ -58,7 +58,7 @@ WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load 
 TIGHTEN_SPEED, LOOSEN_SPEED = 0.015, 0.003  # faster where it must hold than to spare
 FORCE_TOLERANCE = 0.06  # tolerance around the target for a settled force, N
 SETTLE_TIME = 0.25  # s
-SEARCH = 0.030  # search range for the table below the specified place height, m
+SEARCH = 0.030  # search range for the table around the specified place height, m
 # pull over all fingers, N, and its duration, s; a bump is shorter
 PULL_FORCE, PULL_TIME = 0.20, 0.09
 MEMORY_KEYS = {
@@ -262,10 +262,7 @@ def _hold(observation: Observation, command: Command, forces: list[float]) -> Co
 
 
 def _lower(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Lower the gripper until the table carries the load.
-
-    The gripper stops at most SEARCH below the specified place height.
-    """
+    """Lower the gripper until the table carries the load, within SEARCH of the specified height."""
     command = _regulated(observation, command, forces)
     goal = max(0.0, observation.goal.place_height - SEARCH)
     above = command.lift_height - observation.goal.place_height
@@ -273,7 +270,7 @@ def _lower(observation: Observation, command: Command, forces: list[float]) -> C
     speed = _speed_towards(highest, observation, command)
     height = max(goal, command.lift_height - speed * observation.period)
     carried = float(_stored(LoadEstimator, command).vector(observation.touch)[0])
-    is_standing = stands(carried, float(np.asarray(command.memory["held"])[0]))
+    is_standing = above < SEARCH and stands(carried, float(np.asarray(command.memory["held"])[0]))
     settled_time = command.memory["settled_time"] + observation.period if height == goal else 0.0
     if is_standing:  # the gripper stops here
         height = max(0.0, observation.gripper.lift_height)

@@ -205,6 +205,20 @@ def test_one_image_without_load_is_not_the_table():
     assert lowered.phase == "lower"
 
 
+def test_a_load_that_vanishes_far_above_the_table_is_no_table():
+    """At 36 mm above the specified height, beyond the 30 mm of the search, the object swings."""
+    command, goal = holding(0.2)
+    command = replace(command, phase="lower")
+
+    def swings(k, now):
+        is_light = 0.035 < now.lift_height < 0.037
+        return (finger(0.0 if is_light else 0.2, normal=0.4),) * 2
+
+    lowered = run(command, swings, 30, goal)
+    assert lowered.phase == "lower"
+    assert lowered.lift_height < 0.03
+
+
 def test_the_jaws_stop_at_the_first_contact():
     """They lag behind the command by 2 mm, which would compress a stiff object further.
 
