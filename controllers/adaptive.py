@@ -214,7 +214,8 @@ def _lift(observation: Observation, command: Command, forces: list[float]) -> Co
         command = phases.remember(command, load=vars(load.hanging(observation.touch)))
     if observation.gripper.lift_height > goal - 0.001:
         return phases.enter_phase(command, "hold")
-    speed = WEIGH_SPEED if is_low else _speed_towards(LIFT_SPEED, observation, command)
+    is_slow = is_low or waits  # the load of an object that slides grows no faster than the grip
+    speed = WEIGH_SPEED if is_slow else _speed_towards(LIFT_SPEED, observation, command)
     height = min(goal, command.lift_height + speed * observation.period)
     return phases.remember(replace(command, lift_height=height), speed=speed)
 
