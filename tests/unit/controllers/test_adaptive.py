@@ -289,6 +289,26 @@ def test_an_object_that_slides_while_its_load_grows_is_lifted_slowly():
     assert np.diff(height)[load[1:] < 0.6].max() < 1.01 * 0.003 * PERIOD
 
 
+def test_an_object_that_slides_in_the_air_is_lifted_slowly():
+    """It slides from 15 mm on, for longer than the second that the lift waits.
+
+    The limit of the speed is that of the first 3 mm.
+    """
+    heights = []
+
+    def sliding(k, command):
+        heights.append(command.lift_height)
+        if command.lift_height < 0.015:
+            return (finger(0.2, normal=command.memory.get("target", 0.3)),) * 2
+        slip = Slip("slipping", np.zeros(2), 1e-4 * k, 1.0)
+        return (replace(finger(0.2, normal=0.3), slip=slip),) * 2
+
+    run(Command(0.04, 5.0, 0.0, "lift"), sliding, 300, TaskGoal(hold_time=60.0))
+    height = np.array(heights)
+    assert height[-1] > 0.017
+    assert np.diff(height)[height[1:] > 0.016].max() < 1.01 * 0.003 * PERIOD
+
+
 def test_the_lift_starts_gently():
     """A start at 30 mm/s within an image adds a third of the weight; 0.1 m/s^2 adds a hundredth.
 
