@@ -51,7 +51,7 @@ GROWS = 1.05  # relative growth of the load from slip to slip while the table ca
 # delay from a command to its force in an image, s; time scale of force errors, s
 DELAY, SETTLING = 0.1, 0.2
 CLOSING_SPEED, OPENING_SPEED = 0.020, 0.060  # all speeds in m/s
-LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.010
+LIFT_SPEED, WEIGH_SPEED, PLACE_SPEED = 0.030, 0.003, 0.007
 # m/s^2: a step of the speed loads the grip by more than the weight, or unloads it like the table
 LIFT_ACCELERATION = 0.1
 WEIGH_HEIGHT = 0.003  # height of the slow first lift, m, during which the load builds up

@@ -190,9 +190,9 @@ def test_it_sets_down_where_the_table_takes_the_load(load):
         carried = load - max(0.017 - now.lift_height, 0.0) * 200
         return (finger(carried, normal=max(0.3, 2 * load)),) * 2
 
-    down = run(command, table, 60)
+    down = run(command, table, 90)
     assert down.phase == "release"
-    # depth from the load, 20 mm/s for two cycles of delay, and the threshold for the end of the
+    # depth from the load, 7 mm/s for two cycles of delay, and the threshold for the end of the
     # weight
     assert 0.017 - load / 200 - 0.002 < down.lift_height < 0.0175
 
@@ -330,7 +330,7 @@ def test_the_lift_starts_gently():
 def test_lowering_changes_its_speed_gently():
     """A start at 30 mm/s within an image unloads the fingers like the table.
 
-    From rest to 30 mm/s, and 10 mm/s near the table, with 0.1 m/s^2.
+    From rest to 30 mm/s, and 7 mm/s near the table, with 0.1 m/s^2.
     """
     goal = TaskGoal(hold_time=0.1)
     heights = []
@@ -344,7 +344,7 @@ def test_lowering_changes_its_speed_gently():
     speeds = -np.diff(heights) / PERIOD
     assert speeds[0] < 0.004
     assert speeds.max() == pytest.approx(0.03, rel=1e-6)
-    assert speeds[-1] == pytest.approx(0.01, rel=1e-6)
+    assert speeds[-1] == pytest.approx(0.007, rel=1e-6)
     assert np.abs(np.diff(speeds)).max() < 1.01 * 0.1 * PERIOD
 
 
