@@ -10,7 +10,7 @@ import pytest
 # Same as in the command line: more threads slow down small factorisations. Before numpy is
 # imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Slows down emulated devices, their watchdogs and their hosts: tests run in parallel, and a rented
+# Slows down emulated devices, their watchdogs and their hosts: tests run in parallel, and a virtual
 # computer may pause for half a second. Before mjtactile is imported.
 os.environ.setdefault("MJTACTILE_TIME_SCALE", "3")
 # Without bytecode each process compiles its imports: half a second for each `mjtactile` that a test

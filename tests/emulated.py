@@ -23,7 +23,7 @@ from mjtactile.emulator.valve import ValveFirmware, ValvePort
 from mjtactile.rig.file import BusConfig, GripperConfig, LiftConfig, ServoConfig, ValveConfig
 
 REPLY_TIMEOUT = 0.2
-ANGLE = 3.0  # rad at which the emulated servos stand
+ANGLE = 3.0  # initial angle of the emulated servos, rad
 
 
 @dataclass
@@ -57,7 +57,7 @@ GRIPPER = GripperConfig(
 
 @contextlib.contextmanager
 def servo_bench(model: str = "XL330-M288", count: int = 2, **kind) -> Iterator[Bench]:
-    """Servos of a `kind` on a pty; interpreter switches are made quick so that their thread
+    """Yield servos of a `kind` on a pty, with a short thread switch interval, so that their thread
     answers."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(5e-4)
@@ -73,7 +73,7 @@ def servo_bench(model: str = "XL330-M288", count: int = 2, **kind) -> Iterator[B
 
 
 class Chambers:
-    """Chambers without a world: at the pressure that they are connected to. Sealed, they lose
+    """Chambers without a simulated world, at the pressure of their port. Sealed chambers lose
     `leak` Pa each tick."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class Chambers:
 def valve_bench(
     sensors: bool = True,
 ) -> Iterator[tuple[ValvePort, ValveFirmware, Faults, Chambers]]:
-    """A valve board on a pty with its pneumatics alive."""
+    """Yield a valve board on a pty with running pneumatics."""
     faults = Faults()
     chambers = Chambers()
     firmware = ValveFirmware(chambers, faults, sensors=sensors)
@@ -134,7 +134,7 @@ def at_pace(slow: float) -> Iterator[None]:
 
 
 def wait_for(condition, timeout: float = 5.0) -> bool:
-    """Wait until `condition()` is true; five seconds is far longer than any condition takes."""
+    """Wait until `condition()` is true; five seconds are far longer than any condition requires."""
     deadline = scaled_clock.monotonic() + timeout
     while scaled_clock.monotonic() < deadline:
         if condition():

@@ -26,13 +26,13 @@ from mjtactile.core import resources, scaled_clock
 from mjtactile.emulator.process import EmulatorProcess
 from mjtactile.recording.reader import load_recording
 from mjtactile.rig.file import load_rig_file
-from tests.patient import RATE, SLOWER
+from tests.patient import RATE, SLOW_CAMERA_DESIGN
 
 WAIT = 300.0  # time-out in s; an idle computer needs a few seconds
 # largest drop, m, of a lift of 40 mm; the two heights are not read at exactly the same time
 FALLEN = 0.010
 _CHECK_TIME = 0.03  # period of the check on the hardware's clock, s; a fall of 40 mm takes 0.09 s
-_TAIL = 40_000  # bytes of the log's end, in which there is a whole line
+_TAIL = 40_000  # bytes at the end of the log, more than one line
 _GENEROUS = (
     ("rate_Hz", "30.0", str(RATE)),
     ("delay_ms", "8.0", "400.0"),
@@ -47,7 +47,7 @@ def emulated_rig(object_name: str = "egg") -> EmulatorProcess:
     """Emulated hardware whose cameras have the rate of `rig_text`."""
     rig_file = load_rig_file("emulated")
     cameras = tuple(replace(camera, rate=RATE) for camera in rig_file.cameras)
-    return EmulatorProcess(replace(rig_file, cameras=cameras), SLOWER, object_name=object_name)
+    return EmulatorProcess(replace(rig_file, cameras=cameras), SLOW_CAMERA_DESIGN, object_name=object_name)
 
 
 def write_slower_sensor(folder: Path) -> str:
@@ -59,7 +59,7 @@ def write_slower_sensor(folder: Path) -> str:
 
 
 def rig_text(emulator: EmulatorProcess) -> str:
-    """A rig file for the emulated hardware as for any other."""
+    """Return a rig file for the emulated hardware."""
     text = client_text(load_rig_file("emulated").path, emulator.endpoints)
     for name, before, after in _GENEROUS:
         assert f"{name} = {before}" in text
@@ -68,7 +68,7 @@ def rig_text(emulator: EmulatorProcess) -> str:
 
 
 def shipped_with(controller: str, **constants: float) -> str:
-    """The text of a shipped controller with other values of its constants."""
+    """Return the text of a shipped controller with other values of its constants."""
     text = resources.find(controller, "controllers", ".py").read_text(encoding="utf-8")
     for name, value in constants.items():
         text, found = re.subn(rf"^{name} = .*$", f"{name} = {value}", text, flags=re.MULTILINE)
@@ -77,7 +77,7 @@ def shipped_with(controller: str, **constants: float) -> str:
 
 
 def controller_text(hold: float = 60.0) -> str:
-    """The shipped controller, quicker, holding for `hold` s."""
+    """Return the text of a faster `gentle` that holds for `hold` s."""
     text = shipped_with(
         "gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, LIFT_SPEED=0.08, OPENING_SPEED=0.08
     )
@@ -88,7 +88,7 @@ def controller_text(hold: float = 60.0) -> str:
 
 
 class Host:
-    """A grasp in a process; while it runs, a thread watches the object."""
+    """Grasp in a process, with a thread that monitors the object."""
 
     def __init__(
         self,
@@ -161,8 +161,8 @@ class Host:
             os.kill(self.process.pid, number)
 
     def ends(self) -> tuple[str, str]:
-        """Wait until it is gone; stdout and stderr. Torque is off then, the chambers are vented,
-        and nothing has fallen."""
+        """Wait for the end of the process and return stdout and stderr. Check that torque is off,
+        the chambers are vented, and no object has fallen."""
         output = self.process.communicate(timeout=WAIT)
         self._over.set()
         self._thread.join()
@@ -172,13 +172,14 @@ class Host:
         return output
 
     def has_set_down(self) -> None:
-        """Check that the object came down with the hand, and stands where it stood."""
+        """Check that the object was lowered with the gripper to its initial position."""
         assert self.fallen < FALLEN
         # height of the object's center, m; less means that it has toppled
         assert self.emulator.truth()["object_height"] == pytest.approx(0.031, abs=0.003)
 
     def recording(self):
-        """Readable, closed in order, with the turns of the retreat."""
+        """Return the recording; check that it is complete and contains the phases of the
+        retreat."""
         recording = load_recording(self.log.parent)
         assert recording.complete and not recording.problems
         return recording

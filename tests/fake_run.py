@@ -41,7 +41,8 @@ class FakeCycle:
 
 
 def fake_touch(force: float, time: float) -> Touch:
-    """A bulge of 4 mm, flattened in the middle by an amount that goes with `force` N."""
+    """Return a touch with a bulge of 4 mm that is flattened at its center in proportion to `force`,
+    N."""
     x = np.linspace(-0.02, 0.02, 21)
     y = np.linspace(-0.015, 0.015, 17)
     gx, gy = np.meshgrid(x, y)

@@ -1,4 +1,4 @@
-"""One camera for each lens model, and its projection by OpenCV."""
+"""Cameras of each lens model, and their projection by OpenCV."""
 
 import cv2
 import numpy as np

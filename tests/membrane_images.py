@@ -1,4 +1,4 @@
-"""Images of a membrane computed with the chain's own membrane model, without the simulator.
+"""Images of a membrane computed with the membrane model of the pipeline, without the simulator.
 
 The membrane is flat, in equilibrium, and under a round traction patch that grows and is dragged
 along.
@@ -25,7 +25,7 @@ LOADS = ((0.0, 0.1), (0.05, 0.4), (0.15, 0.8), (0.0, 0.0))  # shear along x and 
 
 @dataclass(frozen=True, eq=False)
 class Sequence:
-    """Images of a sensor from its references on, at 30 Hz."""
+    """Images of a sensor, including its references, at 30 Hz."""
 
     flat: tuple[Image, ...]
     rest: tuple[Image, ...]
@@ -52,7 +52,7 @@ def sequence(sensor: str = "paper16") -> Sequence:
 
 
 def _load(rubber, shear, normal):
-    """Generalised forces (3, n) of a force in newtons, even over a disc."""
+    """Return generalised forces (3, n) of a force, N, uniform over a disc."""
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     ring = np.column_stack([np.cos(angle), np.sin(angle)])
     places = np.concatenate([PLACE + fraction * RADIUS * ring for fraction in (0.3, 0.6, 0.9)])

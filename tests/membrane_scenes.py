@@ -1,4 +1,4 @@
-"""Scenes that several tests of the membrane share."""
+"""Scenes shared by tests of the membrane."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ from mjtactile.sim.scenes.world import World
 
 
 def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
-    """One sensor at rest on the world."""
+    """Return a scene with one sensor at rest, fixed to the world."""
     spec = mujoco.MjSpec()
     configure_options(spec, timestep)
     spec.option.gravity = gravity
@@ -17,7 +17,7 @@ def scene(design, mesh=(13, 11), timestep=8e-3, gravity=(0, 0, 0)):
 
 
 def settle(world, pressure, speed=1e-6):
-    """Open the valve at `pressure` and step until nothing moves faster than `speed` m/s."""
+    """Open the valve at `pressure` and step until all speeds are below `speed`, m/s."""
     world.sensors[0].open_valve(pressure)
     for _ in range(100):
         world.step(10)

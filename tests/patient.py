@@ -1,4 +1,4 @@
-"""The sensor of the contract tests, the simulated rigs, and the emulated one with more patience."""
+"""Sensor of the contract tests, simulated rigs, and the emulated rig with longer time-outs."""
 
 from dataclasses import replace
 
@@ -8,12 +8,12 @@ from mjtactile.rig.file import load_rig_file
 DESIGN = load_sensor("paper16")
 # Half of the usual images: two processors render and evaluate those of six emulated rigs.
 RATE = 15.0  # image rate of emulated cameras, Hz
-SLOWER = replace(DESIGN, camera=replace(DESIGN.camera, rate=RATE))
+SLOW_CAMERA_DESIGN = replace(DESIGN, camera=replace(DESIGN.camera, rate=RATE))
 SIMULATED = ("sim", "sim_arm", "sim_three_finger")
 
 
 def patient_rig_file():
-    """The shipped emulated rig for a computer that has much else to do."""
+    """Write the shipped emulated rig with time-outs for a computer with other load."""
     rig_file = load_rig_file("emulated")
     # stale only after 0.6 s
     cameras = tuple(replace(camera, delay=0.5, rate=RATE) for camera in rig_file.cameras)

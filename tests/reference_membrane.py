@@ -1,9 +1,7 @@
-"""Independent membrane: triangles, neo-Hookean or StVK rubber, gas, given surface loads; static
-equilibrium by Newton.
-
-For tests only. It shares no code with the package. Sensing writes the membrane as B-splines in weak
-form, MuJoCo as a flex. This is a plain total-Lagrangian finite-element code, so that agreement is
-meaningful.
+"""Independent membrane for tests: triangles, neo-Hookean or StVK rubber, gas, surface loads; static
+equilibrium by Newton's method. It shares no code with the package. Sensing writes the membrane as
+B-splines in weak form, MuJoCo as a flex. This is a plain total-Lagrangian finite-element code, so
+that agreement is meaningful.
 """
 
 from __future__ import annotations

@@ -26,10 +26,10 @@ TESTS = [
     "tests/unit/kernels",
     "tests/unit/quasistatic",
     "tests/unit/sensing",
-    # those take the same ways through the kernels, with more and larger images
+    # these run the same code of the kernels with more and larger images
     "-m",
     "not slow",
-    # it asks for the name of the library that was built for use
+    # this test reads the name of the default library
     "--deselect=tests/unit/kernels/test_bindings.py::test_another_source_is_another_library",
 ]
 DRAWS = "40"

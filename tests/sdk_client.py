@@ -1,4 +1,4 @@
-"""The SDK's own calls on a bench of emulated servos, and a hand that turns their shafts."""
+"""Calls of the SDK on a bench of emulated servos, and external rotation of their shafts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class SdkClient:
         return int.from_bytes(bytes(data), "little")
 
     def write(self, name, value, servo=1):
-        """The error of the status packet."""
+        """Write a register and return the error of the status packet."""
         field = self.table[name]
         data = list((value & ((1 << 8 * field.size) - 1)).to_bytes(field.size, "little"))
         result, error = self.packets.writeTxRx(self.port, servo, field.address, field.size, data)

@@ -1,11 +1,9 @@
-"""Timing tests on a computer with shared processors.
-
-The host of a rented computer may take its processors away for up to a second ("steal" in
-/proc/stat). Devices are silent during that time, and a driver that reports it is right. A test
-marked `clock` that fails during such a time is repeated. If it fails each time it is undecided.
-This is reported at the end, and never counts as passed. Without stolen time it fails like any other
-test. If more than `UNDECIDED_MAX` are undecided, the run fails: a real defect fails every time, and breaks
-many tests.
+"""Timing tests on a computer with shared processors. The host of a virtual computer may withhold
+its processors for up to a second ("steal" in /proc/stat). Devices are silent during that time, and
+a driver that reports it is right. A test marked `clock` that fails during such a time is repeated.
+If it fails each time it is undecided. This is reported at the end, and never counts as passed.
+Without stolen time it fails like any other test. If more than `UNDECIDED_MAX` are undecided, the
+run fails: a real defect fails every time, and breaks many tests.
 """
 
 import os
@@ -17,7 +15,7 @@ from _pytest.runner import runtestprotocol
 
 TRIES = 2
 UNDECIDED_MAX = 20
-STOLEN_MAX = 0.03  # of all processors' time: less than that is a few ms now and then
+STOLEN_MAX = 0.03  # fraction of all processors' time; smaller fractions are a few ms
 _undecided: set[Path] = set()  # files with such a test: their others are tried once
 _STEAL = 8  # column of /proc/stat's first line
 
@@ -33,7 +31,7 @@ def stolen_seconds():
 
 
 def attempt(item, nextitem):
-    """Reports of one try, and the share of the processors' time that was taken from it."""
+    """Reports of one try, and the fraction of processor time withheld during it."""
     stolen = stolen_seconds()
     start = time.monotonic()
     reports = runtestprotocol(item, nextitem=nextitem, log=False)

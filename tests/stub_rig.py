@@ -22,11 +22,11 @@ OK = Touch(0.0, 0.0, 0.5, 0.01, True)
 BLIND = Touch(0.0, 0.0, math.nan, math.nan, False, status="too dark")
 SEALED = ValveState(False, 1000.0)
 LAST = Command(0.05, 4.0, 0.02, "hold")
-FEELS = SimpleNamespace(perceive=lambda images, now, timeout, readings: (OK,))
+PERCEPTION_STUB = SimpleNamespace(perceive=lambda images, now, timeout, readings: (OK,))
 
 
 def loaded(shear):
-    """A finger along which so many N pull."""
+    """Return a finger with a shear force, N."""
     wrench = np.array([0.0, shear, -1.0, 0.0, 0.0, 0.0])
     grid = np.linspace(-0.01, 0.01, 3)
     traction = Traction(grid, grid, np.zeros((3, 3, 3)), wrench, np.eye(6) * 1e-6, 1e3, "made up")
@@ -102,8 +102,8 @@ class World:
         stop=None,
         observer=None,
     ):
-        """Run until `error`; after cycle number `after`, something is `broken`, and `act` is called
-        in each cycle."""
+        """Run until `error`. After cycle number `after` a part is `broken`; `act` is called in each
+        cycle."""
         cycles = []
 
         def on_cycle(cycle):
@@ -127,6 +127,6 @@ class World:
         return cycles, str(caught.value)
 
     def has_set_down(self):
-        """It went down before it opened, so that nothing was dropped."""
+        """Check that the gripper lowered before it opened."""
         opened = next(i for i, command in enumerate(self.sent) if command.opening > 0.05 + 1e-3)
         return self.sent[opened].lift_height < 1e-3 and self.opening > 0.05 + RETREAT_OPENING - 1e-3

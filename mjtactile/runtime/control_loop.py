@@ -63,7 +63,7 @@ def run_loop(
     if pool is None:
         perceivers = Perceivers(perceptions, names, threads, busy=rig.scene is not None)
     else:
-        perceivers = pool.at_work(perceptions, names)
+        perceivers = pool.using(perceptions, names)
     # a simulated world waits for the process, so memory limits apply to real rigs only
     is_real = math.isfinite(rig.host_timeout)
     memory = memory_limit.limited() if is_real else contextlib.nullcontext(lambda: None)

@@ -50,7 +50,7 @@ class PerceptionPool:
         self._names: Sequence[str] = ()
 
     @contextlib.contextmanager
-    def at_work(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[PerceptionPool]:
+    def using(self, perceptions: Sequence[Any], names: Sequence[str]) -> Iterator[PerceptionPool]:
         """Run these pipelines (`StatefulPipeline`) in the processes, starting from their current
         states.
 

@@ -19,7 +19,7 @@ _TEXTS = {"TextUnformatted": 0, "TextColored": 1, "TextWrapped": 0}
 _WIDGETS = {"Button", "Checkbox", "Combo", "Image", "SliderFloat", "InputInt", "CollapsingHeader"}
 _COMPLETE = panel.finger_lines
 _PERIOD = 0.05  # minimum frame period, s
-_PICTURE = "MJTACTILE_PICTURE" in os.environ  # one to look at
+_PICTURE = "MJTACTILE_PICTURE" in os.environ  # an image is requested
 MODULES = (panel, control_window, playback)
 frame = {
     "places": {},
@@ -33,8 +33,8 @@ frame = {
 }
 
 
-class Noting:
-    """Dear ImGui, with a note of each widget."""
+class RecordingImgui:
+    """Wrapper of Dear ImGui that records each widget."""
 
     def __init__(self, real):
         self._real = real
@@ -64,7 +64,7 @@ class Noting:
         return value
 
 
-class Clerk(plugin.ViewerPlugin):
+class WidgetRecorder(plugin.ViewerPlugin):
     """Plugin that records the texts and widgets of the windows in each frame."""
 
     def __init__(self, source, shown, app):
@@ -83,11 +83,11 @@ class Clerk(plugin.ViewerPlugin):
 
     @messages.handler
     def on_update(self, _: messages.UpdateEvent) -> None:
-        """Not as many frames as a person wants: the session and the browser need the time."""
+        """Limit the frame rate: the session and the browser need the time."""
         time.sleep(_PERIOD)
         if _PICTURE:
             self._app.theme = ux.GuiTheme.DARK
-        if _PICTURE and frame.pop("turn", False):  # so that a membrane is seen
+        if _PICTURE and frame.pop("turn", False):  # a membrane is visible
             camera = self.viewer.camera
             camera.azimuth = camera.azimuth + 25
             camera.elevation = -25
@@ -153,23 +153,23 @@ def answer():
 
 if __name__ == "__main__":
     for module in MODULES:
-        module.imgui = Noting(module.imgui)
+        module.imgui = RecordingImgui(module.imgui)
     launch = serve.launch
 
-    def launch_with_clerk(config, *, plugins):
+    def launch_with_recorder(config, *, plugins):
         shown = next(one for one in plugins if isinstance(one, panel.Panel))
         shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
-        return launch(config, plugins=[*plugins, Clerk(shown.source, shown, plugins[0])])
+        return launch(config, plugins=[*plugins, WidgetRecorder(shown.source, shown, plugins[0])])
 
     add = session_bridge.SessionBridge.add
 
     def add_and_pause(self, cycle, *args, **truth):
         add(self, cycle, *args, **truth)
-        # once: a page may be too slow to press it in time
+        # once: a page may be too slow to press the button in time
         if cycle.sent.phase == "hold" and not frame.get("held"):
             frame["held"] = frame["turn"] = self.paused = True
 
     session_bridge.SessionBridge.add = add_and_pause
-    serve.launch = launch_with_clerk
+    serve.launch = launch_with_recorder
     threading.Thread(target=answer, daemon=True).start()
     sys.exit(cli.main(["studio", *sys.argv[1:]]))

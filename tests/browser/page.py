@@ -1,8 +1,8 @@
 """Headless Chromium controlled by its DevTools protocol: a page and its screenshots.
 
 Without a graphics card a frame of a 3-D scene takes seconds of all processors. A page would draw
-one after the other while everything else waits. A `sparing` page therefore draws only for
-screenshots, and is otherwise unchanged.
+continuously and block all other work. A `sparing` page therefore draws only for screenshots, and is
+otherwise unchanged.
 """
 
 import base64
@@ -64,14 +64,14 @@ class Page:
         return answer["result"].get("value")
 
     def wait_for(self, script, limit=LIMIT):
-        """Until an expression is true there."""
+        """Wait until an expression is true in the page."""
         end = time.monotonic() + limit
         while not self.run(script):
             assert time.monotonic() < end, f"never: {script}"
             time.sleep(0.1)
 
     def image(self):
-        """Blue, green, red (h, w, 3), of the page's size in px."""
+        """Return a screenshot, blue, green, red (h, w, 3), of the page's size in px."""
         if self._sparing:
             self.run("window.toDraw = 1")
             self.wait_for("window.toDraw === 0")
@@ -85,8 +85,7 @@ class Page:
         )
 
     def mouse(self, kind, x, y, **more):
-        """One event of the mouse, such as mouseMoved with buttons=1, or mouseWheel with deltaY
-        px."""
+        """Send one mouse event, such as mouseMoved with buttons=1, or mouseWheel with deltaY px."""
         self._ask(
             "Input.dispatchMouseEvent",
             type=kind,
@@ -98,8 +97,8 @@ class Page:
 
 @contextlib.contextmanager
 def open_page(url, folder, until=None, *, sparing=False, scale=1.0):
-    """A `Page` with `url`, in a browser of its own, once the server has written that it is there
-    into the file `until`. `scale` px are drawn, along each side, for each px of the page's size."""
+    """Yield a `Page` with `url` in its own browser, after the server has written its address into
+    the file `until`. `scale` px are drawn, along each side, for each px of the page's size."""
     command = [
         CHROMIUM,
         *FLAGS,

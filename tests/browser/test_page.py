@@ -1,4 +1,5 @@
-"""`summary.html` in a real browser: it draws, zooms, reads off, turns, and follows the slider."""
+"""Tests of `summary.html` in a real browser: plots, zoom, readout, rotation, and the time
+slider."""
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ pytestmark = [
 
 
 def place(page, selector):
-    """Left, top, width, height of an element on the screen, px."""
+    """Return left, top, width, height of an element on the screen, px."""
     return page.run(
         f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}});"
         f"(({{x, y, width, height}}) => [x, y, width, height])("
@@ -48,7 +49,7 @@ def test_page_supports_zoom_readout_rotation_and_time_slider(tmp_path):
             [0, 59 / 30], abs=1e-3
         )
 
-        page.mouse("mouseMoved", x + width / 2, y + height / 2)  # reads off
+        page.mouse("mouseMoved", x + width / 2, y + height / 2)  # readout
         i = int(page.run("lastBefore(data.time, view.pointer)"))
         force = recording.column("force_normal")[i]
         text = page.run("document.getElementById('readout').textContent")

@@ -1,6 +1,5 @@
-"""`mjtactile studio` in a real browser: headless Chromium, real physics, the page that a user sees.
-
-One session and one page serve all tests, in the order in which they stand here.
+"""Tests of `mjtactile studio` in a real browser: headless Chromium and real physics. One session
+and one page serve all tests, in the order of this file.
 """
 
 import contextlib
@@ -33,18 +32,18 @@ pytestmark = [
 ]
 # where the page is kept while it holds, for the documentation
 PICTURE = os.environ.get("MJTACTILE_PICTURE")
-SCENE = np.s_[40:330, 300:890]  # px: where no window lies
+SCENE = np.s_[40:330, 300:890]  # px: outside all windows
 NOWHERE = (600, 180)  # px, in it
 
 
 class Studio:
-    """The command, and the page that looks at it."""
+    """The command and its page."""
 
     def __init__(self, folder):
         self.folder = folder
         self._open = contextlib.ExitStack()
         self.page: Any = None
-        self._mouse: Any = None  # px, where it was last brought
+        self._mouse: Any = None  # last position, px
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -75,7 +74,7 @@ class Studio:
         return f"http://localhost:{self.port}/"
 
     def open(self, name):
-        """Look at it with a browser of its own."""
+        """Open the page in its own browser."""
         self.page = self._open.enter_context(
             open_page(
                 self.url,
@@ -138,7 +137,7 @@ class Studio:
                 return x, y
             assert time.monotonic() < end, f"the mouse never came to {label!r}"
             self._mouse = (x, y)
-            # a page that has just come up does not listen yet
+            # a new page does not receive input at once
             for place in (x - 1, x):
                 self.page.mouse("mouseMoved", place, y, button="none", clickCount=0)
             time.sleep(0.2)
@@ -152,13 +151,13 @@ class Studio:
         )
 
     def image(self, good):
-        """The page as soon as it is `good`, and the pictures in it: left camera, left membrane,
-        right camera, right membrane. The scene is drawn some time after the windows."""
+        """Return the page as soon as it is `good`, and its images: left camera, left membrane,
+        right camera, right membrane. The scene is drawn after the windows."""
         end = time.monotonic() + LIMIT
         while True:
             shot = self.page.image()
             places = self.ask()["places"]
-            # textures have numbers
+            # textures are numbered
             parts = [
                 shot[round(top) + 2 : round(bottom) - 2, round(left) + 2 : round(right) - 2]
                 for name, (left, top, right, bottom) in places.items()
@@ -191,7 +190,7 @@ def is_dark(bgr):
 
 def test_membrane_deforms_in_a_grasp_and_panel_values_equal_session_values(studio):
     studio.is_up()
-    # a scene that is not black, markers, and nothing touches
+    # a scene that is not black, markers, and no contact
     first, _ = studio.image(
         lambda shot, parts: (
             shot[SCENE].std() > 10
@@ -206,7 +205,7 @@ def test_membrane_deforms_in_a_grasp_and_panel_values_equal_session_values(studi
     )
     now = studio.ask()
     held = studio.until(lambda f: f["frames"] > now["frames"] + 3, "some frames go by")
-    assert held["number"] == now["number"]  # a pause is one
+    assert held["number"] == now["number"]  # the scene is paused
     for estimated in held["estimates"]:
         for text in (
             f"normal {estimated['force']:+.3f} N, 2 sd {2 * estimated['sd']:.3f}",
@@ -222,10 +221,10 @@ def test_membrane_deforms_in_a_grasp_and_panel_values_equal_session_values(studi
     # the scene has changed
     assert (np.abs(first[SCENE].astype(int) - later[SCENE]).max(axis=2) > 24).mean() > 0.02
     height, width = membrane.shape[:2]
-    assert is_dark(membrane[: height // 6]).mean() > 0.9  # the frame's edge stays
+    assert is_dark(membrane[: height // 6]).mean() > 0.9  # the edge of the frame does not move
     # green: the deepest
     x, y = (np.mean(where) for where in np.nonzero(membrane[:, :, 1] > 180)[::-1])
-    # shares of the frame's opening
+    # fractions of the frame's opening
     centroid = np.array(held["estimates"][0]["centroid"]) / [0.040, 0.030]
     np.testing.assert_allclose([x / width - 0.5, y / height - 0.5], centroid, atol=0.06)
 
@@ -233,7 +232,7 @@ def test_membrane_deforms_in_a_grasp_and_panel_values_equal_session_values(studi
 def test_the_supply_slider_changes_the_pressure(studio):
     studio.press("supply, kPa", 0.2)
     supply = studio.ask()["values"]["supply, kPa"]
-    assert 0.4 < supply < 0.8  # kPa; it was 1
+    assert 0.4 < supply < 0.8  # kPa; before: 1
     studio.press("open valves")
     number = studio.ask()["number"]
     studio.press("one cycle")
@@ -289,7 +288,7 @@ def test_second_page_is_read_only_and_other_origins_change_no_state(studio):
     after = studio.until(lambda f: f["frames"] > before["frames"] + 2, "it goes on")
     assert (after["number"], after["paused"], after["runs"]) == (before["number"], True, 1)
     listening = Path("/proc/net/tcp").read_text() + Path("/proc/net/tcp6").read_text()
-    # 127.0.0.1 alone
+    # 127.0.0.1 only
     assert re.findall(rf"\s([0-9A-F]+):{studio.port:04X}\s+0+:0000 0A", listening) == ["0100007F"]
 
 
@@ -307,7 +306,7 @@ def test_ctrl_c_in_a_pause_leaves_no_process(studio):
     studio.press("pause")
     studio.until(lambda f: f["paused"], "it pauses")
     studio.process.send_signal(signal.SIGINT)
-    studio.process.wait(2 * LIMIT)  # the hand goes down and opens first
+    studio.process.wait(2 * LIMIT)  # the gripper first lowers and opens
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", studio.port), timeout=5).close()
     assert "Traceback" not in studio.log.read_text()

@@ -30,8 +30,8 @@ def mjtactile(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture
 def command(tmp_path: Path, monkeypatch, capfd) -> Callable[..., subprocess.CompletedProcess[str]]:
-    """Run `mjtactile ARGS` in this process and an empty folder: its exit code, and all that came to
-    stdout and stderr, libraries' words too."""
+    """Run `mjtactile ARGS` in this process and an empty folder. Return the exit code, stdout and
+    stderr, including output of libraries."""
     monkeypatch.chdir(tmp_path)
 
     def call(*args: object) -> subprocess.CompletedProcess[str]:

@@ -13,7 +13,7 @@ from mjtactile.commands import COMMANDS
 
 
 def subparsers(parser, words=()):
-    """Every command with the words that lead to it, commands of commands too."""
+    """Yield every command and subcommand with its arguments."""
     nested = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
     if not nested:
         yield words, parser
@@ -64,7 +64,7 @@ def test_the_value_equals_the_written_text(words, name, value):
 
 
 def test_an_empty_path_is_refused():
-    """That of an unset shell variable would be the working folder."""
+    """An unset shell variable gives an empty path, which would be the working folder."""
     with pytest.raises(_UsageError, match="--out: is empty, not a path"):
         PARSER.parse_args(["grasp", "--out", ""])
 

@@ -1,5 +1,5 @@
-"""Bad input: exit code 2, one clear line that names the file, the field and the choices, and
-nothing left behind."""
+"""Tests of bad input: exit code 2, one clear line that names the file, the field and the choices,
+and no files left."""
 
 import json
 import subprocess
@@ -183,7 +183,7 @@ def test_bad_usage(command, args, words):
     assert process.stdout == ""
 
 
-# Each of these makes OpenCV, FFmpeg or MuJoCo print something of their own.
+# In each of these cases OpenCV, FFmpeg or MuJoCo prints its own messages.
 @pytest.mark.parametrize(
     ("files", "args", "words"),
     [
@@ -211,7 +211,7 @@ def test_the_error_line_is_printed_before_library_output(mjtactile, tmp_path, fi
     assert process.returncode in (2, 3)
     assert_one_line(process, words, process.returncode)
     assert len(process.stderr.strip().splitlines()) == 1, process.stderr
-    assert not (tmp_path / "out").exists()  # nor is an empty folder left behind
+    assert not (tmp_path / "out").exists()  # no empty folder is left
 
 
 def test_mujoco_messages_are_printed_with_debug_only(tmp_path):

@@ -1,5 +1,5 @@
-"""Calibration files named in a rig file: errors take one line, `doctor` reports the status of the
-others, and commands find them."""
+"""Tests of calibration files named in a rig file: errors take one line, `doctor` reports the status
+of the others, and commands find them."""
 
 import json
 
@@ -22,8 +22,8 @@ LENS = LensCalibration(
 
 @pytest.fixture
 def rig(tmp_path):
-    """A real rig's file, whose devices are not there, with calibration files named and left's
-    made."""
+    """Provide the file of a real rig without its devices. It names calibration files; the left one
+    exists."""
     text = resources.find("two_xm430", "models/rigs", ".toml").read_text()
     text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
     for finger in ("left", "right"):
@@ -105,7 +105,7 @@ def test_two_fingers_of_one_name_and_no_fingers_are_refused(rig, tmp_path, capsy
 
 
 def test_doctor_lists_missing_refused_and_outdated_files(rig, tmp_path, capsys):
-    # of other values than the sensor file's
+    # its values differ from those of the sensor file
     stale = ForceScale(1.02, 0.01, 1.5, stamp(load_sensor("paper16"), {}, {}))
     load_calibration(tmp_path / "left.json").with_part(stale).with_refusal("frame", ["bent"]).save(
         tmp_path / "left.json"

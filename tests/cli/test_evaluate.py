@@ -153,7 +153,7 @@ def test_the_command_of_an_episode_samples_the_same_world(tmp_path, command):
         and first.notes["outcome"] == line["outcome"]
     )
     estimated = [recording.column("force_normal") for recording in (first, second)]
-    assert np.array_equal(*estimated, equal_nan=True)  # a touch that is drawn may be none
+    assert np.array_equal(*estimated, equal_nan=True)  # a sampled touch may be None
     assert first.header["command"] == line["rerun_command"]
     assert line["time_s"] == pytest.approx(np.ptp(first.column("time")))
     log = (tmp_path / "again" / "recording" / "log.jsonl").read_text().splitlines()

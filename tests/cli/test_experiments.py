@@ -1,4 +1,4 @@
-"""`mjtactile inflate` and `mjtactile press` as a user runs them."""
+"""Tests of the commands `mjtactile inflate` and `mjtactile press`."""
 
 import json
 
@@ -26,7 +26,7 @@ def test_inflate_reports_height_and_theory(capsys, tmp_path):
     )
     steps = result["steps"]
     assert [s["pressure_kPa"] for s in steps] == [0.0, 0.5, 1.0]
-    # 40 x 30 x 20 mm; gravity sags the sheet by 7 um
+    # 40 x 30 x 20 mm; the membrane sags under gravity by 7 um
     assert steps[0]["volume_mL"] == pytest.approx(24.0, rel=1e-3)
     for step in steps[1:]:
         # 1.5 % of the default mesh and 2 % of the closed form, whose two terms assume one shape
@@ -41,7 +41,7 @@ def test_press_estimates_equal_the_load_cell(capsys):
         assert step["converged"] and step["status"] == "ok"
         # contact and drive carry the same force; 1 % covers the last of the settling
         assert step["force_true_N"][2] == pytest.approx(step["drive_force_N"][2], rel=0.01)
-        # 0.04 N is the paper's error; the mesh of 13 x 11 alone is worth half of it
+        # 0.04 N is the paper's error; half of it is the discretization error of 13 x 11 vertices
         assert step["force_estimated_N"][2] == pytest.approx(step["force_true_N"][2], abs=0.04)
     shallow, deep = result["steps"]
     assert deep["force_true_N"][2] < 2 * shallow["force_true_N"][2] < 0  # stiffens with depth
@@ -98,7 +98,7 @@ def test_open_valve_keeps_the_pressure(capsys):
         "--sensor",
         "paper16",
     )
-    # the supply's, exactly
+    # exactly the supply pressure
     assert result["steps"][0]["pressure_kPa"] == pytest.approx(1.0, rel=1e-6)
 
 

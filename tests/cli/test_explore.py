@@ -48,8 +48,8 @@ def test_a_recorded_press_has_the_position_of_the_indenter(capsys, tmp_path):
     assert found["patches"] == 1
     patch = PatchStore(tmp_path / "ball" / "touched.jsonl").read()[0]
     off = np.linalg.norm(patch.points - [0, 0, 0.008], axis=1) - 0.008
-    # the frame begins at the ball's lowest point. On a mesh of 13 x 11 the sheet lies 0.1 to 0.2 mm
-    # off a ball between its vertices
+    # the frame begins at the ball's lowest point. A mesh of 13 x 11 vertices is 0.1 to 0.2 mm away
+    # from a ball between its vertices
     assert np.abs(off).max() < 3e-4
 
 
@@ -65,10 +65,10 @@ def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_s
     assert found["patches"] == 4 and "surface_error_mm_true" not in found
     assert max(one["force_N"] for one in found["touched"]) < 0.6
     places = np.array([one["place_mm"] for one in found["touched"]])
-    # an egg of 32 mm, met at its widest; it may stand aside by as much as the seed draws
+    # an egg of 32 mm, touched at its maximum width, with the offset of the seed
     widths = np.abs(places[::2, 0] - places[1::2, 0])
     assert widths == pytest.approx([32, 32], abs=1.0)
-    # from 6 mm higher its flanks are met somewhat higher, but not by so much
+    # a grip 6 mm higher touches the egg less than 6 mm higher
     assert (places[2:, 2] - places[:2, 2] > 0.5).all() and (places[2:, 2] - places[:2, 2] < 6).all()
     assert main(["explore", "--rig", f"replay:{out}", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["touched"] == found["touched"]
@@ -96,4 +96,4 @@ def test_exploration_of_an_egg_can_be_resumed(capsys, tmp_path, monkeypatch):
     fused = json.loads(capsys.readouterr().out)
     assert fused["patches"] == 3
     assert fused["size_mm"] == pytest.approx(three["size_mm"], rel=0.01)
-    assert main([*arguments, "--touches", "3"]) == 2  # nothing is overwritten
+    assert main([*arguments, "--touches", "3"]) == 2  # no file is overwritten

@@ -14,7 +14,7 @@ from mjtactile.recording.stage_protocol import protocol_indenter
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """Half a second of a sensor that is 20 % stiffer than its file, nothing touching."""
+    """Provide half a second without contact of a sensor that is 20 % stiffer than its file."""
     folder = tmp_path_factory.mktemp("stage")
     text = (load := load_sensor("paper16")) and open_text("paper16")
     (folder / "odd.toml").write_text(text.replace("young_MPa = 1.0", "young_MPa = 1.2"))
@@ -117,7 +117,7 @@ def test_an_indenter_wider_than_the_frame_is_refused(recording, tmp_path, capsys
     assert (
         reported.count("\n") == 1 and "sphere:18 is 36 mm wide" in reported and "30 mm" in reported
     )
-    assert "sphere:8" in reported  # what to record with
+    assert "sphere:8" in reported  # the recommended recording
 
 
 def test_the_indenter_of_a_protocol_follows_the_frame():

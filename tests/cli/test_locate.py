@@ -1,5 +1,5 @@
-"""`mjtactile detect-circles` as a tool of its own: circles drawn by another program come out where they
-were put."""
+"""Tests of `mjtactile detect-circles` on images of another renderer: circles are found at their
+positions."""
 
 import functools
 import json
@@ -27,14 +27,14 @@ CENTERS_PX = [(u, v) for v in (120.25, 240.5, 360.75) for u in (140.5, 320.25, 5
 
 @functools.cache
 def render(dark=True):
-    """Face-on circles, supersampled 8 times, then blurred: radius 30 px at 120 mm."""
+    """Render frontoparallel circles, supersampled 8 times, then blurred: radius 30 px at 120 mm."""
     scale = 8
     radius = FX * RADIUS_MM / DEPTH_MM
     v, u = np.ogrid[0 : HEIGHT * scale, 0 : WIDTH * scale]
     # pixel (0, 0) is the centre of the top-left pixel
     u = (u + 0.5) / scale - 0.5
     v = (v + 0.5) / scale - 0.5
-    # the circles stand on a grid
+    # the circles are on a grid
     cu, cv = ((np.unique([c[i] for c in CENTERS_PX])) for i in (0, 1))
     inside = (
         np.abs(u[..., None] - cu).min(-1) ** 2 + np.abs(v[..., None] - cv).min(-1) ** 2 < radius**2
@@ -131,9 +131,9 @@ def test_a_folder_in_name_order_with_a_corrupt_file_and_overlays(command, folder
 
 
 def test_glass_in_front_of_the_camera(command, folder):
-    """5 mm of n = 1.5 bring a point nearer by t (1 - 1/n) = 1.67 mm on the axis, more aside (Eq.
-    V8): the picture without glass, taken for one through it, shows circles that much farther
-    away."""
+    """5 mm of n = 1.5 shift a point closer by t (1 - 1/n) = 1.67 mm on the axis, off the axis by
+    more (Eq. V8). In an image without glass, circles are estimated farther away by this
+    distance."""
     (frame,) = locate(command, "dark.png", "--glass-mm", "5:1.5:60")
     further = np.array([m["center_mm"][2] for m in frame["markers"]]) - DEPTH_MM
     assert (further > 1.6).all() and (further < 2.2).all()

@@ -1,4 +1,5 @@
-"""`mjtactile fabricate` as a user meets it: a folder that explains itself, or one line and no folder."""
+"""Tests of `mjtactile fabricate`: a folder with a list of its files, or an error in one line and no
+folder."""
 
 import functools
 import json
@@ -14,7 +15,7 @@ from mjtactile.fabrication.marker_positions import MembraneState
 
 
 def flat(design, *_):
-    """In place of the simulation, which tests/unit/make has."""
+    """Replace the simulation, which tests/unit/fabrication tests."""
     p = design.markers.p_SM
     return [MembraneState("flat", p, np.tile([0.0, 0, 1], (len(p), 1)), 1.0, 0.0)]
 
@@ -24,7 +25,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(
         room, "build", functools.partial(room.build, states_of=flat, load_states_of=flat)
     )
-    monkeypatch.setattr(manual, "STEPS", manual.STEPS[:1])  # one picture of parts
+    monkeypatch.setattr(manual, "STEPS", manual.STEPS[:1])  # one image of parts
 
 
 def test_the_folder_has_a_list_of_its_files(quick, capsys, tmp_path):

@@ -1,4 +1,4 @@
-"""`mjtactile new` and `mjtactile docs`: the copies work as they are, under their own names."""
+"""Tests of `mjtactile new` and `mjtactile docs`: copies work unchanged under their own names."""
 
 import json
 
@@ -38,7 +38,7 @@ def test_every_shipped_file_can_be_copied_and_the_copy_is_good(capsys, monkeypat
         assert copy.name == f"my_{like}{KINDS[kind].suffix}" and copy.name in report["next"]
         loaded = LOAD[kind](copy)
         assert kind in ("controller", "scenario") or loaded.name == f"my_{like}"
-        assert "#" in copy.read_text() or "<!--" in copy.read_text()  # its comments came along
+        assert "#" in copy.read_text() or "<!--" in copy.read_text()  # its comments are kept
 
 
 def test_a_copied_simulated_rig_includes_its_robot(command, tmp_path):

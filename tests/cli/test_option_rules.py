@@ -1,4 +1,4 @@
-"""Options that would be ignored are refused when they are given."""
+"""Tests of options without an effect, which are refused."""
 
 import importlib
 

@@ -1,4 +1,5 @@
-"""Output that fails or stands still holds up nothing, and `--out` destroys nothing."""
+"""Tests of output: a failed or blocked output does not block a command, and `--out` overwrites no
+file."""
 
 import json
 import os
@@ -149,7 +150,7 @@ def test_default_names_do_not_collide_within_a_second(tmp_path, monkeypatch):
 
 
 class Hardware:
-    """Emulated hardware that ends at once; each has ports of its own."""
+    """Emulated hardware that ends at once, each with its own ports."""
 
     started = 0
 

@@ -1,5 +1,5 @@
-"""Every outcome has its exit code: 0 held, 1 dropped or crushed, 3 fault; a wrong run is never
-reported as a result."""
+"""Tests of exit codes: 0 held, 1 dropped or crushed, 3 fault; a failed run is not reported as a
+result."""
 
 import json
 
@@ -55,7 +55,7 @@ def test_an_object_that_is_not_gripped_is_dropped(command, tmp_path):
         report["peak_force_true_N"] == pytest.approx(0.0, abs=1e-9)
         and report["hold_force_true_N"] == 0.0
     )
-    assert "controller aborted" not in report.get("reason", "")  # it went through to its end
+    assert "controller aborted" not in report.get("reason", "")  # the run was completed
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_a_membrane_pushed_to_the_glass_is_a_fault_with_step_and_reason(command,
     assert (process.returncode, report["outcome"]) == (3, "fault")
     line = process.stderr.strip().splitlines()[-1]
     assert "step" in line and "t =" in line and "glass" in line
-    # recorded so far, and no made-up result
+    # recorded until then, without a result
     assert report["hold_force_N"] is None and report["frames"] > 0
 
 
@@ -125,7 +125,8 @@ def test_an_object_too_heavy_for_the_grip_is_dropped_with_the_reason(command, tm
     assert recording.columns["phase"][-1] == "abort" and not list(
         (tmp_path / "result/recording/frames").iterdir()
     )
-    # truth of every cycle: the force on the membranes and where the box is, upright on the table
+    # ground truth of every cycle: force on the membranes and position of the box, upright on the
+    # table
     wrench = recording.column("wrench_true")
     assert wrench.shape == (len(recording), 2, 6)
     np.testing.assert_allclose(-wrench[..., 2], recording.column("force_normal_true"), atol=1e-12)

@@ -1,4 +1,4 @@
-"""`mjtactile experiments` as a user runs it."""
+"""Tests of the command `mjtactile experiments`."""
 
 import json
 

@@ -45,7 +45,7 @@ def test_steps_before_an_interruption_are_returned():
 
 
 def test_designs_before_an_interruption_are_written(tmp_path, capsys, monkeypatch):
-    """Ctrl-C after the first design of eight. Predictions, which take seconds, are made up."""
+    """Ctrl-C after the first design of eight. Predictions, which take seconds, are replaced."""
     reached = Score(0.02, 0.01, 0.01, 0.005, 2e-4, 1e-4, 4e-3, 3.0)
     designs = iter([DesignCandidate(load_sensor("dense"), reached, ())])
 

@@ -1,5 +1,4 @@
-"""Recorded frames through `calibrate frame` and `reconstruct`, as a user with a real sensor
-would."""
+"""Tests of `calibrate frame` and `reconstruct` on recorded frames of a sensor."""
 
 import json
 
@@ -153,7 +152,8 @@ def test_a_calibration_with_another_sensor_is_refused_with_its_reason(capsys, fr
 
 
 def test_images_of_another_sensor_have_no_surface(capsys, frames):
-    """16 of the 81 small markers match those of `paper16`, which are larger: they seem far away."""
+    """16 of the 81 small markers match those of `paper16`, which are larger: their estimated
+    distance is too large."""
     folder, _ = frames
     result = run_json(capsys, "reconstruct", folder / "press", "--sensor", "paper16")
     for frame in result["frames"]:

@@ -1,4 +1,5 @@
-"""`mjtactile record`: nothing moves, everything is kept, and a replay gives the same numbers."""
+"""Tests of `mjtactile record`: no motion, a complete recording, and a replay with the same
+values."""
 
 import json
 import shutil
@@ -100,7 +101,8 @@ def test_a_recording_stops_at_its_end(folder, tmp_path, capsys):
 
 
 def test_a_part_of_a_recording_with_the_gripper_raised(folder, tmp_path, capsys):
-    """The part is complete: a recording cannot lower the gripper, and the rest was not asked."""
+    """The part is complete: a recording cannot lower the gripper, and the remaining time was not
+    requested."""
     raised = tmp_path / "raised"
     shutil.copytree(folder, raised)
     lines = [

@@ -1,7 +1,5 @@
-"""Packages of an index work outside the checkout.
-
-The source distribution builds, and its wheel has a tag that an index accepts. In a fresh
-environment it grasps an egg.
+"""Tests of the packages of an index outside the checkout. The source distribution builds, and its
+wheel has a tag that an index accepts. In a fresh environment it grasps an egg.
 """
 
 import contextlib
@@ -34,7 +32,7 @@ GLIBC = (2, 17)  # version guaranteed by the tag manylinux_2_17
 def run(*command, code=0, variables=(), **options):
     """Return a command's stdout and stderr.
 
-    Python's path holds nothing of this checkout or environment.
+    Python's path contains no folder of this checkout or environment.
     """
     environment = {
         key: value
@@ -56,7 +54,7 @@ def run(*command, code=0, variables=(), **options):
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
-    """The source distribution."""
+    """Provide the source distribution."""
     folder = tmp_path_factory.mktemp("source")
     run(sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", folder, cwd=CHECKOUT)
     (made,) = folder.iterdir()
@@ -113,7 +111,7 @@ def link(source, target):
 
 
 def glibc_needed(library):
-    """The newest version of glibc's symbols that a library asks for, by its table of strings."""
+    """Return the newest version of glibc symbols that a library requires, from its string table."""
     return max((int(a), int(b)) for a, b in re.findall(rb"GLIBC_(\d+)\.(\d+)", library))
 
 
@@ -155,7 +153,8 @@ def test_the_wheel_tag_is_that_of_its_libraries(wheel):
 def test_the_library_uses_only_the_baseline_instruction_set(
     wheel, tmp_path, instructions, has_wide
 ):
-    """The processor that compiles may have more than the one that runs it."""
+    """The processor that compiles may have more instructions than the processor that runs the
+    library."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (n for n in archive.namelist() if n.endswith(f"-{instructions}.so"))
         library = archive.extract(name, tmp_path)

@@ -3,12 +3,12 @@
 import pytest
 
 from mjtactile.emulator.process import EmulatorProcess
-from tests.patient import SLOWER, patient_rig_file
+from tests.patient import SLOW_CAMERA_DESIGN, patient_rig_file
 
 
 @pytest.fixture(scope="module")
 def emulator():
-    """Patient emulated hardware with an egg, of a test file's own."""
-    process = EmulatorProcess(patient_rig_file(), SLOWER, object_name="egg", seed=0)
+    """Emulated hardware with an egg and long time-outs, one for each test file."""
+    process = EmulatorProcess(patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0)
     yield process
     process.close()

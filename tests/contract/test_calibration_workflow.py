@@ -41,8 +41,8 @@ ERROR_MAX = 0.03
 
 
 def write_rig(folder):
-    """The emulated specimens with a calibration file for each finger and the gripper, patient with
-    a busy computer."""
+    """Write the rig file of the as-built sensors with a calibration file for each finger and the
+    gripper, and long time-outs."""
     text = resources.find("emulated_as_built", "models/rigs", ".toml").read_text()
     text = text.replace("[gripper]\n", '[gripper]\ncalibration = "gripper.json"\n')
     for finger in FINGERS:
@@ -74,8 +74,8 @@ def write_rig(folder):
 # -- force estimates and ground truth -------------------------------------------------------------
 
 
-class Brief:
-    """`gentle`, ended after a while of holding."""
+class BriefHold:
+    """Controller `gentle`, ended after a short hold."""
 
     path = "gentle"
 
@@ -124,17 +124,17 @@ def grasp_error(path):
                     ]
                 )
 
-        session.run(Brief(30), time_limit=60.0, on_cycle=on_cycle)
+        session.run(BriefHold(30), time_limit=60.0, on_cycle=on_cycle)
     return np.nanmean(errors, axis=0), reported
 
 
-# -- a person with instruments
+# -- instruments of the user
 # --------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
 def client(path):
-    """An emulator, and the rig file of who talks to it."""
+    """Provide an emulator and the rig file of its client."""
     design = load_sensor(path.parent / "slower.toml")
     emulator = EmulatorProcess(load_rig_file(path), design, object_name="egg", seed=2)
     try:
@@ -146,9 +146,9 @@ def client(path):
 
 
 def calibrate(file, emulator, monkeypatch, *options):
-    """One `mjtactile calibrate`, by a person at the terminal."""
+    """Run `mjtactile calibrate` with the answers of a user at the terminal."""
     person = Person(emulator)
-    # the emulated jaws have no play to settle, its chambers no long way to the valve
+    # the emulated jaws have no backlash, and the chambers have short hoses
     monkeypatch.setattr(interactive, "_SPEED", 0.1)
     monkeypatch.setattr(interactive, "_REST_TIME", 0.3)
     monkeypatch.setattr(interactive, "_VALVE_STAGES", (1.0, 1.0, 0.5))
@@ -171,14 +171,14 @@ def calibrate_cameras(path, file):
 def test_calibration_of_two_fingers_that_differ_from_their_sensor_file(tmp_path, monkeypatch):
     path = write_rig(tmp_path)
     sensor = ("--sensor", str(tmp_path / "slower.toml"))
-    # most of it is a minute of jaws and air that move and rest
+    # most of the time is a minute of motion of the jaws and of pressure settling
     with at_pace(2.0), client(path) as (emulator, file):
         calibrate_cameras(path, file)
         for arguments in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"]):
             calibrate(file, emulator, monkeypatch, *arguments, *sensor)
     left, right = (load_calibration(tmp_path / f"{finger}.json") for finger in FINGERS)
-    # each against the specimen: focal length 3 % of 600 px by the camera's own 0.5 %, zero by 5 Pa
-    # of noise over 0.7 s
+    # each against the as-built sensor: focal length 3 % of 600 px by the camera's own 0.5 %, zero
+    # by 5 Pa of noise over 0.7 s
     assert left.lens.fx == pytest.approx(618, rel=0.005) and right.lens.fx == pytest.approx(
         582, rel=0.005
     )

@@ -21,7 +21,7 @@ jpeg_quality = 80
 """
 
 
-class Errors(Observer):
+class ErrorObserver(Observer):
     """Observer of the normal-force error of both fingers in standard deviations, and of their
     statuses."""
 
@@ -57,7 +57,7 @@ def test_a_grasp_continues_after_both_cameras_are_shifted(tmp_path, sensor, rate
         seed=6,
         randomization=str(path),
     )
-    errors = Errors()
+    errors = ErrorObserver()
     result = run_grasp(scenario, [errors])
     assert result.outcome == "held" and errors.statuses == {"ok"}
     assert max(abs(off) for off in errors.off) < 5

@@ -1,5 +1,5 @@
-"""The contract of `Command`, as its docstring has it, for every gripper: simulated, emulated,
-replayed, in the Gymnasium environment, and the stub of the tests."""
+"""Tests of the contract of `Command`, stated in its docstring, for every gripper: simulated,
+emulated, replayed, in the Gymnasium environment, and the stub of the tests."""
 
 import json
 import math
@@ -24,7 +24,7 @@ from mjtactile.replay.rig import ReplayGripper, build_replay_rig
 from mjtactile.rig.command_limits import CommandLimits
 from mjtactile.rig.registry import build_rig
 from tests.contract.test_rigs import record
-from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
+from tests.patient import DESIGN, SIMULATED, SLOW_CAMERA_DESIGN, patient_rig_file
 from tests.stub_rig import World
 
 # group for one worker, since the emulator starts slowly
@@ -34,13 +34,13 @@ PERIOD = 1 / 30
 
 
 def make(name, request):
-    """The rig of a name; the caller closes it."""
+    """Return the rig of a name; the caller closes it."""
     if name in SIMULATED:
         return build_rig(name, DESIGN, object_name="egg", seed=0)
     if name == "emulated":
         emulator = request.getfixturevalue("emulator")
         return build_emulated_rig(
-            patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
+            patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0, emulator=emulator
         )
     if name == "gym":
         env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-mesh,-pipeline")
@@ -100,7 +100,8 @@ def test_the_returned_command_has_phase_memory_and_reason(rig):
 
 
 def test_with_zero_force_the_jaws_stay_open(rig):
-    """Until now 0 left the largest limit in force: the softest request gave the hardest grip."""
+    """A force limit of 0 closes the jaws without force. Version 1 kept the previous limit
+    instead."""
     before = rig.gripper.state().opening
     go(rig, Command(rig.limits.opening[0], 0.0), 1.0)
     after = rig.gripper.state()
@@ -127,7 +128,7 @@ def test_grip_force_equals_the_force_limit(name, request):
 
 
 def test_the_range_of_the_force_action_is_monotonic():
-    """From the softest to the hardest: peak forces on an egg rise, and -1 touches nothing."""
+    """Peak forces on an egg increase with the action; -1 makes no contact."""
     peaks = []
     for action in (-1.0, -0.95, -0.85, -0.7):
         env = gymnasium.make("mjtactile/Grasp-v0", object="egg", effects="-mesh,-pipeline")
@@ -223,7 +224,8 @@ def test_limits_leave_none_alone():
 
 
 def test_limits_and_columns_of_every_field_come_from_its_contract():
-    """A goal far beyond the limits moves by its rate, or to its range; what has no limit stays."""
+    """A goal far beyond the limits moves by its rate, or to its range. Fields without a limit are
+    unchanged."""
     limits = CommandLimits(pressure=(0.0, 3000.0), pressure_rate=6000.0)  # 200 Pa per cycle
     last = Command(0.05, 1.0, 0.02, gauge_pressure=(600.0,))
     far = Command(9.0, 99.0, 9.0, "hold", {"a": 1.0}, "why", (9e3,))

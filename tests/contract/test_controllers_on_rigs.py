@@ -27,9 +27,9 @@ from mjtactile.runtime.session import Session
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rig import build_sim_rig
 from tests.emulated import at_pace
-from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
+from tests.patient import DESIGN, SIMULATED, SLOW_CAMERA_DESIGN, patient_rig_file
 
-FIRMER = Path(__file__).resolve().parents[2] / "examples" / "firmer_in_the_air.py"
+FIRMER_EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "firmer_in_the_air.py"
 
 
 class Gentle:
@@ -51,7 +51,8 @@ class Gentle:
 
 
 def near_rig(name, seed):
-    """A simulated rig whose jaws begin near the egg, to spare the way, with fewer images."""
+    """Return a simulated rig whose jaws start near the egg, which shortens the approach, with fewer
+    images."""
     file = load_sim_rig(name)
     slower = replace(DESIGN, camera=replace(DESIGN.camera, rate=20.0))
     return build_sim_rig(
@@ -102,14 +103,14 @@ def test_gentle_lifts_an_egg(name, tmp_path):
     assert np.mean(gentle.estimated[-1]) == pytest.approx(0.6, abs=0.08)
     # one image, one cycle old; 16 markers are good to 20-30 mN (docs/validation/accuracy.md)
     assert gentle.estimated[-1] == pytest.approx(true, abs=0.05)
-    # it came along; it stood in a cup and slips by less than a millimetre
+    # the egg was lifted from its cup and slips by less than a millimetre
     assert egg - 0.0315 == pytest.approx(0.04, abs=2e-3)
     assert opening > 0.04
 
 
 @pytest.fixture
 def half_speed():
-    """An emulator with all images, whose cycles raise the pressure in time, at half the speed."""
+    """Provide an emulator with all images at half the speed of real time."""
     with at_pace(2 * scaled_clock.slow()):
         process = EmulatorProcess(load_rig_file("emulated"), DESIGN, object_name="egg", seed=0)
         yield process
@@ -130,7 +131,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(half_speed, tmp_
     truths = []
     estimated = []
 
-    class Watched(Recorder):
+    class MonitoredRecorder(Recorder):
         def add(self, cycle, **rest):
             super().add(cycle, **rest)
             if cycle.sent.phase == "hold":
@@ -146,15 +147,15 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(half_speed, tmp_
     rig = build_emulated_rig(rig_file, DESIGN, object_name="egg", seed=0, emulator=half_speed)
     try:
         session = Session(rig)
-        gentle = Gentle("done", FIRMER)
-        with Watched(tmp_path, {"object": "egg"}) as recorder:
+        gentle = Gentle("done", FIRMER_EXAMPLE)
+        with MonitoredRecorder(tmp_path, {"object": "egg"}) as recorder:
             session.take_references(recorder)
             session.run(gentle, time_limit=60.0, on_cycle=recorder.add)
     finally:
         rig.close()
-    # the servos' goals are rounded, and the pinions have play
+    # the servos' goals are rounded, and the pinions have backlash
     assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)
-    # of the moments of the images; 0.007 was seen, and 0.025 at worst
+    # force at the capture times, N; measured errors: 0.007, at most 0.025
     moments, *true = np.array(truths).T
     seen = np.array(estimated)
     errors = [seen[:, k, 1] - np.interp(seen[:, k, 0], moments, true[k]) for k in (0, 1)]
@@ -162,7 +163,7 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(half_speed, tmp_
     pressures = load_recording(tmp_path).column("gauge_pressure")
     held = load_recording(tmp_path).columns["phase"] == "hold"
     assert pressures[held].min() == pytest.approx(600.0, abs=60)
-    # the last twentieth is let in slowly, and the hold may end meanwhile: 1931 to 1949 were seen
+    # the last 5 % of the pressure are reached slowly, and the hold may end before: 1931 to 1949 Pa
     assert pressures[held].max() == pytest.approx(2000.0, abs=100)
 
 
@@ -171,11 +172,11 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(half_speed, tmp_
 def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     """The task file of the simulation also runs on the emulated rig.
 
-    The task specifies a place 20 mm high that does not exist: the gripper moves down until the
+    The task specifies a stand 20 mm high that does not exist: the gripper moves down until the
     table carries the object.
     """
     rig = build_emulated_rig(
-        patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
+        patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0, emulator=emulator
     )
     rig = replace(rig, goal=load_task("place").goal.task_goal())
     heights = {}
@@ -191,9 +192,9 @@ def test_adaptive_does_a_task_on_the_emulated_rig(emulator):
     finally:
         rig.close()
     assert last.phase == "done" and not last.reason
-    # in the last image of the hold; the servos' goals are rounded, and the pinions have play
+    # in the last image of the hold; the servos' goals are rounded, and the pinions have backlash
     assert heights["hold"] - 0.0315 == pytest.approx(rig.goal.lift_height, abs=5e-3)
-    assert stands == pytest.approx(0.0315, abs=2e-3)  # in its cup again
+    assert stands == pytest.approx(0.0315, abs=2e-3)  # the egg is in its cup
     assert last.lift_height == pytest.approx(0.0, abs=4e-3)
 
 

@@ -1,5 +1,5 @@
-"""Tests of sensing chains in processes next to a simulated world: errors are the same, a hanging
-chain delays nothing, and a lost one is reported.
+"""Tests of sensing pipelines in processes next to a simulated world: errors are the same, a blocked
+pipeline delays no cycle, and a lost process is reported.
 
 Time-outs are far longer than any step takes; no test asserts one.
 """
@@ -28,8 +28,8 @@ IMAGE = Image(np.arange(64, dtype=np.uint8).reshape(8, 8), 1.0)
 NAMES = "left", "right"
 
 
-class Feels:
-    """Stand-in for a chain: counts its calls and returns its input."""
+class CountingPipeline:
+    """Stand-in for a pipeline: counts its calls and returns its input."""
 
     def __init__(self):
         self.state = 0
@@ -41,14 +41,14 @@ class Feels:
         return Touch(image.time, now - image.time, 0.5, 0.01, True, markers=markers)
 
 
-class Raises(Feels):
+class FailingPipeline(CountingPipeline):
     def perceive(self, image, now, reading=None):
         if now == 1.0:
-            raise ValueError("what it says")
+            raise ValueError("error of a pipeline")
         return super().perceive(image, now)
 
 
-class Hangs(Feels):
+class BlockedPipeline(CountingPipeline):
     def __init__(self, until):
         super().__init__()
         self.until = until
@@ -59,15 +59,15 @@ class Hangs(Feels):
         return super().perceive(image, now)
 
 
-ONE_OR_TWO = pytest.mark.parametrize("pool", [1, 2], indirect=True)
+WITH_ONE_OR_TWO_PROCESSES = pytest.mark.parametrize("pool", [1, 2], indirect=True)
 
 
 @pytest.fixture
 def pool(request):
-    """Two processes, or as many as a test states."""
-    made = PerceptionPool(getattr(request, "param", 2))
-    yield made
-    made.close()
+    """Provide two processes, or the parametrized number."""
+    processes = PerceptionPool(getattr(request, "param", 2))
+    yield processes
+    processes.close()
 
 
 def children():
@@ -78,11 +78,11 @@ def children():
     ]
 
 
-@ONE_OR_TWO
+@WITH_ONE_OR_TWO_PROCESSES
 def test_estimates_and_states_are_complete_and_read_only(pool):
-    pipelines = [Feels(), Feels()]
-    for now in (1.5, 2.5):  # two runs: the second goes on where the first one ended
-        with pool.at_work(pipelines, NAMES) as both:
+    pipelines = [CountingPipeline(), CountingPipeline()]
+    for now in (1.5, 2.5):  # two runs: the second continues from the state of the first
+        with pool.using(pipelines, NAMES) as both:
             left, right = both.perceive([IMAGE, Image(IMAGE.pixels + np.uint8(1), 1.0)], now)
         assert (left.age, left.force_normal, left.status) == (now - 1, 0.5, "ok")
         assert left.markers.p_SM.tolist() == [[2016.0] * 3] and right.markers.p_SM.tolist() == [
@@ -93,10 +93,10 @@ def test_estimates_and_states_are_complete_and_read_only(pool):
     assert [pipeline.state for pipeline in pipelines] == [2, 2]
 
 
-@ONE_OR_TWO
+@WITH_ONE_OR_TWO_PROCESSES
 def test_an_error_keeps_its_class_and_the_next_image_is_evaluated(pool):
-    with pool.at_work([Feels(), Raises()], NAMES) as both:
-        with pytest.raises(ValueError, match="what it says"):
+    with pool.using([CountingPipeline(), FailingPipeline()], NAMES) as both:
+        with pytest.raises(ValueError, match="error of a pipeline"):
             both.perceive([IMAGE, IMAGE], 1.0)
         left, right = both.perceive([IMAGE, IMAGE], 2.0)
         assert (left.markers.ids, right.markers.ids) == (2, 1)
@@ -107,8 +107,8 @@ def test_a_blocked_pipeline_reports_unknown_until_it_answers(tmp_path):
     until = tmp_path / "go"
     pool = PerceptionPool(2)
     try:
-        with pool.at_work([Feels(), Hangs(until)], NAMES) as both:
-            # the second call does not wait for it
+        with pool.using([CountingPipeline(), BlockedPipeline(until)], NAMES) as both:
+            # the second call does not wait for the blocked pipeline
             for now, timeout in ((1.0, 3.0), (2.0, 1e9)):
                 left, right = both.perceive([IMAGE, IMAGE], now, timeout)
                 assert left.status == "ok" and right.status == (
@@ -118,14 +118,14 @@ def test_a_blocked_pipeline_reports_unknown_until_it_answers(tmp_path):
             until.touch()
             while (right := both.perceive([IMAGE, IMAGE], 3.0)[1]).status != "ok":
                 pass
-            # no late answer was taken for a new one
+            # no late answer was returned for a new request
             assert right.markers.ids == 2 and right.age == 2.0
     finally:
         pool.close()
 
 
 def test_a_stopped_process_delays_no_cycle_and_continues_later(pool):
-    with pool.at_work([Feels(), Feels()], NAMES) as both:
+    with pool.using([CountingPipeline(), CountingPipeline()], NAMES) as both:
         pids = children()
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)
@@ -139,8 +139,8 @@ def test_a_stopped_process_delays_no_cycle_and_continues_later(pool):
 
 
 def test_a_killed_process_is_reported_and_its_pipelines_are_unchanged(pool):
-    pipelines = [Feels(), Feels()]
-    with pool.at_work(pipelines, NAMES) as both:
+    pipelines = [CountingPipeline(), CountingPipeline()]
+    with pool.using(pipelines, NAMES) as both:
         both.perceive([IMAGE, IMAGE], 1.0)
         for pid in children():
             os.kill(pid, signal.SIGKILL)
@@ -151,7 +151,7 @@ def test_a_killed_process_is_reported_and_its_pipelines_are_unchanged(pool):
     assert [pipeline.state for pipeline in pipelines] == [0, 0]
 
 
-class Killing(Observer):
+class ProcessKiller(Observer):
     """Observer that kills the child processes in the first cycle that holds the object in the
     air."""
 
@@ -172,7 +172,7 @@ def test_a_grasp_whose_process_is_killed_sets_down_and_reports_why(tmp_path):
     scenario = Scenario(
         sensor="paper16", seed=21, effects="-images", controller=str(tmp_path / "quick.py")
     )
-    killing = Killing()
+    killer = ProcessKiller()
     with (
         Recorder(tmp_path, {"object": "egg"}) as recorder,
         pytest.raises(
@@ -180,8 +180,8 @@ def test_a_grasp_whose_process_is_killed_sets_down_and_reports_why(tmp_path):
             match="stopped safely: a process that runs perception has ended \\(by signal 9\\)",
         ),
     ):
-        run_grasp(scenario, [recorder, killing], workers=1)
-    assert killing.phases.count("hold") > 1  # the loop went on: it set down and opened
+        run_grasp(scenario, [recorder, killer], workers=1)
+    assert killer.phases.count("hold") > 1  # the loop continued: it set down and opened
     assert children() == []
 
 

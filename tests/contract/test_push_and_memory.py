@@ -1,7 +1,7 @@
 """Test of an unsensed force and of exhausted memory on the emulated rig.
 
 A board with wings is squeezed until the wings push on the finger frames, which no membrane
-measures. Then the controller uses up the memory.
+measures. Then the controller allocates all of the memory.
 """
 
 import json
@@ -24,7 +24,7 @@ BOARD = """<mujoco model="board"><custom><numeric name="break_force_N" data="50"
 <geom type="box" size="0.0168 0.004 0.031" pos="0 -0.0245 0" mass="0.005"/>
 </body></worldbody></mujoco>"""
 SQUEEZED = 1.0  # time in s; the monitor needs 0.3 s after the jaws have stopped
-GREEDY = f"""
+ALLOCATING_HOLD = f"""
 def _hold(observation, command, felt):
     if command.memory["phase_time"] > {SQUEEZED}:
         return [0.0] * (2 << 30)
@@ -41,7 +41,7 @@ def test_loads_on_a_frame_are_reported_and_steps_beyond_the_memory_limit_are_ref
     path.write_text(BOARD)
     emulator = emulated_rig(str(path))
     text = shipped_with("gentle", CLOSING_SPEED=0.045, SETTLE_TIME=0.1, TARGET_FORCE=0.35)
-    text = text.replace("def _hold(", GREEDY)
+    text = text.replace("def _hold(", ALLOCATING_HOLD)
     try:
         with host(emulator, tmp_path, text) as running:
             output, errors = running.ends()

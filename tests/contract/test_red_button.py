@@ -14,12 +14,12 @@ from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.grasp import run_grasp
 from mjtactile.studio.session_bridge import RED_BUTTON, SessionBridge
 from tests.emulated_host import controller_text, emulated_rig, rig_text
-from tests.patient import SLOWER
+from tests.patient import SLOW_CAMERA_DESIGN
 
 pytestmark = pytest.mark.clock
 
 
-class Pressed(SessionBridge):
+class PressedButtonBridge(SessionBridge):
     """Bridge that presses the red button as soon as the egg is held."""
 
     def __init__(self):
@@ -44,8 +44,8 @@ def emulator():
 def test_the_red_button_while_holding_sets_down_releases_and_vents(emulator, tmp_path):
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
-    bridge = Pressed()
-    scenario = Scenario(sensor=SLOWER, rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
+    bridge = PressedButtonBridge()
+    scenario = Scenario(sensor=SLOW_CAMERA_DESIGN, rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
     controller = bridge.take_over(load_controller(tmp_path / "mine.py"))
     with pytest.raises(DeviceError, match=RED_BUTTON):
         run_grasp(scenario, [bridge], controller=controller)

@@ -36,7 +36,7 @@ from mjtactile.runtime.references import patient_read
 from mjtactile.runtime.session import Session
 from mjtactile.sensing.pipeline import SensingPipeline
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
-from tests.patient import DESIGN, SIMULATED, SLOWER, patient_rig_file
+from tests.patient import DESIGN, SIMULATED, SLOW_CAMERA_DESIGN, patient_rig_file
 
 CYCLES = 12
 # group for one worker, since the emulator starts slowly; slow tests on it have groups of their own
@@ -46,8 +46,8 @@ ONE_EMULATOR = pytest.mark.xdist_group("an emulated rig")
 PRESSURE = 1100.0  # pressure that the controller below commands, Pa: from 1000 in three cycles
 
 
-class Nothing:
-    """A controller that closes a little, with some more air in the fingers, and then is done."""
+class ClosingController:
+    """Controller that closes by a small amount at a higher pressure, then ends."""
 
     path = Path("test")
 
@@ -68,7 +68,7 @@ class Nothing:
 
 @pytest.fixture(scope="module")
 def recording_folder(tmp_path_factory):
-    """A short run of the simulated rig."""
+    """Provide a short run of the simulated rig."""
     folder = tmp_path_factory.mktemp("recording")
     rig = build_rig("sim", DESIGN, object_name="egg", seed=0)
     try:
@@ -82,7 +82,7 @@ def record(rig, folder, notify=lambda _: None):
     session = Session(rig, notify=notify)
     with Recorder(folder, {"object": "egg"}) as recorder:
         session.take_references(recorder)
-        session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+        session.run(ClosingController(), time_limit=60.0, on_cycle=recorder.add)
 
 
 @pytest.fixture(
@@ -94,8 +94,8 @@ def record(rig, folder, notify=lambda _: None):
     ]
 )
 def rig(request):
-    """Each kind of rig; "hardware" is the one of `pytest --hardware RIG.toml`, whose sensor is
-    DESIGN. Clear its jaws."""
+    """Provide each kind of rig. "hardware" is the rig of `pytest --hardware RIG.toml` with the
+    sensor DESIGN; its jaws must be empty."""
     if request.param in SIMULATED:
         rig = build_rig(request.param, DESIGN, object_name="egg", seed=0)
     elif request.param == "hardware":
@@ -104,7 +104,7 @@ def rig(request):
     elif request.param == "emulated":
         emulator = request.getfixturevalue("emulator")
         rig = build_emulated_rig(
-            patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
+            patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0, emulator=emulator
         )
     else:
         rig = build_replay_rig(str(request.getfixturevalue("recording_folder")))
@@ -137,17 +137,19 @@ def test_the_loop_runs_on_it(rig, tmp_path):
     openings = recording.columns["command_opening"]
     running = np.array([state == "running" for state in recording.columns["state"]])[1:]
     assert running.any()
-    assert np.diff(openings)[running] == pytest.approx(-1e-4, abs=1e-9)  # it closed, step by step
-    # a picture that came late on a busy computer: it waited
+    assert np.diff(openings)[running] == pytest.approx(
+        -1e-4, abs=1e-9
+    )  # the gripper closed in steps
+    # a late image on a busy computer: the controller held still
     assert (np.diff(openings)[~running] >= 0).all()
     pressures = recording.column("command_pressure")
     assert np.isnan(pressures[:2]).all() and np.isfinite(pressures[2:]).all()
-    # from the gauge, with its noise and zero, a step a cycle
+    # from the measured pressure, with noise and zero error, one step per cycle
     assert pressures[2] == pytest.approx(1000 + PRESSURE_STEP, abs=60)
     assert (np.abs(np.diff(pressures[2:], axis=0)) <= PRESSURE_STEP + 1e-9).all()
     if running.all():
         assert pressures[-1] == pytest.approx(PRESSURE)
-        # noise of the gauge; a board is some 0.1 s behind, a busy one more
+        # noise of the pressure sensor; a board lags by 0.1 s, on a busy computer by more
         behind = 25 if math.isinf(rig.host_timeout) else 60
         assert recording.column("gauge_pressure")[-1] == pytest.approx(PRESSURE, abs=behind)
 
@@ -173,7 +175,7 @@ def test_state_is_finite_and_within_the_limits(rig):
     )
     low, high = rig.limits.opening
     assert low <= state.opening <= high
-    assert abs(state.lift_height) < 1e-3  # where it started
+    assert abs(state.lift_height) < 1e-3  # the initial height
 
 
 def test_every_reading_reports_when_it_was_taken(rig):
@@ -187,8 +189,8 @@ def test_every_reading_reports_when_it_was_taken(rig):
     after = rig.clock.now()
     assert all(image.time <= after for image in images)
     if rig.name == "replay":
-        # before its first cycle nothing was recorded but images: their own test compares the times
-        # bit for bit
+        # before its first cycle only images were recorded; another test compares their times bit
+        # for bit
         return
     for reading in readings:
         # age in s; a valve's heartbeat may be 0.25 s old, an image 0.5 s on a busy computer
@@ -233,8 +235,8 @@ def test_a_replay_gives_the_same_numbers_bit_for_bit(recording_folder, tmp_path)
 
 @pytest.mark.slow
 def test_a_replay_does_not_depend_on_the_sensors_file(tmp_path):
-    """Edited or gone: the same bits, since the recording contains the sensor. It is not that of the
-    default, whose pressure would be another."""
+    """The replay is bit-identical if the file is edited or missing, since the recording contains
+    the sensor. The default sensor would have another pressure."""
     path = tmp_path / "mine.toml"
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.33 "))
@@ -243,14 +245,14 @@ def test_a_replay_does_not_depend_on_the_sensors_file(tmp_path):
     session = Session(rig)
     with contextlib.closing(rig), Recorder(tmp_path / "first", scenario.header()) as recorder:
         session.take_references(recorder)
-        session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+        session.run(ClosingController(), time_limit=60.0, on_cycle=recorder.add)
     forces = load_recording(tmp_path / "first").column("force_normal")
     for change in (lambda: path.write_text(text), path.unlink):
         change()
         with Recorder(tmp_path / change.__name__, {"sensor": "dense"}) as recorder:
             session = Session(build_replay_rig(str(tmp_path / "first")))
             session.take_references(recorder)
-            session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+            session.run(ClosingController(), time_limit=60.0, on_cycle=recorder.add)
         again = load_recording(tmp_path / change.__name__)
         assert np.array_equal(forces, again.column("force_normal"), equal_nan=True)
         assert "0.33" in again.notes["sensors"]["left"]["text"]
@@ -259,15 +261,14 @@ def test_a_replay_does_not_depend_on_the_sensors_file(tmp_path):
 
 
 def test_a_replay_reports_the_recorded_names_and_outcome(tmp_path):
-    """Not the defaults (egg, seed 0), nor an outcome of the replay, to which nothing
-    reacts."""
+    """Names and outcome are not the defaults (egg, seed 0), and not evaluated from the replay."""
     names = {"object": "random:12", "controller": "adaptive", "seed": 12}
     scenario = Scenario(**names, task="shake")
     rig = build_rig(Scenario())
     session = Session(rig)
     with contextlib.closing(rig), Recorder(tmp_path, scenario.header()) as recorder:
         session.take_references(recorder)
-        session.run(Nothing(), time_limit=60.0, on_cycle=recorder.add)
+        session.run(ClosingController(), time_limit=60.0, on_cycle=recorder.add)
         recorder.close(outcome="crushed")
     summary = run_grasp(resolve_scenario(Scenario(rig=f"replay:{tmp_path}"))).summary()
     assert (summary["outcome"], summary["outcome_from"]) == ("crushed", "recording")
@@ -320,7 +321,7 @@ def test_a_replay_uses_the_recorded_calibration(tmp_path):
 
 
 def test_a_replay_ends_where_the_recording_does(recording_folder):
-    class Endless(Nothing):
+    class EndlessController(ClosingController):
         def step(self, observation):
             return observation.command
 
@@ -328,7 +329,7 @@ def test_a_replay_ends_where_the_recording_does(recording_folder):
     session = Session(rig)
     session.take_references()
     with pytest.raises(DeviceError, match=f"ends after {CYCLES} cycles"):
-        session.run(Endless(), time_limit=60.0, on_cycle=lambda cycle: None)
+        session.run(EndlessController(), time_limit=60.0, on_cycle=lambda cycle: None)
 
 
 def test_unsupported_replays_are_refused(tmp_path):
@@ -344,7 +345,7 @@ def test_unsupported_replays_are_refused(tmp_path):
 @ONE_EMULATOR
 def test_torque_is_off_and_valves_are_vented_after_close(emulator):
     rig = build_emulated_rig(
-        patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
+        patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0, emulator=emulator
     )
     try:
         rig.valves[0].open(1000.0)
@@ -363,9 +364,9 @@ def test_torque_is_off_and_valves_are_vented_after_close(emulator):
 @ONE_EMULATOR
 def test_an_emulated_membrane_is_reported_as_a_mesh(emulator):
     """The errors of its contact shapes are those of a simulated mesh, not of rubber: on 13 x 11
-    vertices an egg was reported as flat, with 100 %."""
+    vertices an egg was classified as flat with a probability of 100 %."""
     rig = build_emulated_rig(
-        patient_rig_file(), SLOWER, object_name="egg", seed=0, emulator=emulator
+        patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0, emulator=emulator
     )
     try:
         session = Session(rig)

@@ -58,7 +58,7 @@ FAULTS = ["while True: pass", "import sys; sys.exit(0)", "raise KeyboardInterrup
 
 @pytest.fixture
 def emulator():
-    """Its own for each test: the egg stands and the jaws are open."""
+    """Provide a new emulator for each test: the egg stands and the jaws are open."""
     process = emulated_rig()
     yield process
     process.close()
@@ -121,12 +121,12 @@ def test_a_second_signal_a_second_later_releases_at_once(emulator, tmp_path):
         assert (
             running.process.returncode == 3 and errors.splitlines()[-1] == "mjtactile: interrupted"
         )
-        assert running.recording().columns["state"][-1] == "safe"  # it was not down yet
+        assert running.recording().columns["state"][-1] == "safe"  # the gripper was still raised
 
 
 @pytest.mark.slow(55)
 def test_output_that_is_not_read_and_a_folder_that_is_removed(emulator, tmp_path):
-    """`mjtactile grasp … 2>&1 | head -6`: the grasp goes on to its end."""
+    """With `mjtactile grasp … 2>&1 | head -6` the grasp continues to its end."""
     reader, writer = os.pipe()
     with host(
         emulator, tmp_path, controller_text(hold=0.5), stdout=writer, stderr=writer
@@ -175,14 +175,15 @@ def test_a_controller_that_fails(emulator, tmp_path, fault):
 
 @pytest.mark.slow(25)
 def test_a_resumed_host_sets_the_held_object_down(emulator, tmp_path):
-    """With `on_host_loss = "hold"`: its servos' watchdogs have tripped, its chambers are sealed."""
+    """With `on_host_loss = "hold"`, the servos' watchdogs have tripped and the chambers are
+    sealed."""
     with host(emulator, tmp_path, loss="hold") as running:
         running.wait_for_phase("hold")
         running.signal(signal.SIGSTOP)
         assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})
         scaled_clock.sleep(
             0.5
-        )  # longer than the board's heartbeat, which began with the watchdogs'
+        )  # longer than the board's heartbeat, which started with the watchdogs
         assert set(emulator.truth()["valve"].values()) == {"sealed"}
         running.signal(signal.SIGCONT)
         _, errors = running.ends()
@@ -226,7 +227,7 @@ def test_after_a_killed_host_the_watchdogs_act(emulator, tmp_path):
     process.send_signal(signal.SIGKILL)
     killed = scaled_clock.monotonic()
     process.wait()
-    # the jaws stand still
+    # the jaws do not move
     assert wait_for(lambda: set(emulator.truth()["watchdog"].values()) == {0xFF})
     assert wait_for(lambda: set(emulator.truth()["valve"].values()) == {"vent"})
     truth = emulator.truth()

@@ -1,5 +1,5 @@
-"""Tests of sensing chains in threads and processes: numbers and errors are the same, and a hanging
-chain delays nothing.
+"""Tests of sensing pipelines in threads and processes: values and errors are the same, and a
+blocked pipeline delays no cycle.
 
 Time-outs are far longer than any step takes; no test asserts one.
 """
@@ -31,7 +31,7 @@ ENDS = """def _lift(observation, command, forces):
 
 @pytest.fixture(scope="module")
 def grasps(tmp_path_factory):
-    """The same grasp in the loop and in two processes; then the first one's replay with a
+    """Provide the same grasp in the loop and in two processes, and a replay of the first with a
     thread."""
     folders = [tmp_path_factory.mktemp(name) for name in ("none", "two", "replay")]
     quick = tmp_path_factory.mktemp("quick") / "gentle.py"
@@ -76,7 +76,7 @@ def test_a_grasp_is_the_same_with_and_without_processes(grasps):
 @ONE_FIXTURE
 def test_a_replay_in_a_thread_is_the_same(grasps):
     none, _, replay = grasps
-    # it has no truth
+    # a replay has no ground truth
     first, second = (
         log(folder, without=lambda key: key.endswith("_true")) for folder in (none, replay)
     )
@@ -112,11 +112,11 @@ def test_an_error_keeps_its_class_and_the_next_image_is_evaluated(threads):
     def act(image, now, reading=None):
         calls.append(now)
         if now == 1.0:
-            raise ValueError("what it says")
+            raise ValueError("error of a pipeline")
         return estimated(image, now)
 
     with Perceivers([pipeline(estimated), pipeline(act)], NAMES, threads) as both:
-        with pytest.raises(ValueError, match="what it says"):
+        with pytest.raises(ValueError, match="error of a pipeline"):
             both.perceive([IMAGE, IMAGE], 1.0)
         assert [touch.status for touch in both.perceive([IMAGE, IMAGE], 2.0)] == [
             "ok",
@@ -129,14 +129,14 @@ def test_a_blocked_pipeline_reports_unknown_until_it_answers():
     answered = threading.Event()
     seen = []
 
-    def hangs(image, now, reading=None):
+    def blocked(image, now, reading=None):
         seen.append(now)
         assert go.wait(300)
         answered.set()
         return estimated(image, now)
 
-    with Perceivers([pipeline(estimated), pipeline(hangs)], NAMES, 2) as both:
-        # the second call does not wait for it
+    with Perceivers([pipeline(estimated), pipeline(blocked)], NAMES, 2) as both:
+        # the second call does not wait for the blocked pipeline
         for now, timeout in ((1.0, 0.01), (2.0, 1e9)):
             left, right = both.perceive([IMAGE, IMAGE], now, timeout)
             assert left.status == "ok" and right.status == (
@@ -147,7 +147,7 @@ def test_a_blocked_pipeline_reports_unknown_until_it_answers():
         assert answered.wait(300)
         while both.perceive([IMAGE, IMAGE], 3.0)[1].status != "ok":
             pass
-        # it was given nothing while it hung, and no late answer was taken for a new one
+        # the blocked pipeline received no image, and no late answer was returned for a new request
         assert seen[:2] == [1.0, 3.0]
 
 
@@ -156,6 +156,6 @@ def test_threads_are_for_several_cameras_and_free_processors(monkeypatch):
     assert default_threads() == 0
     monkeypatch.setattr(platform_support, "processors", lambda: 2)
     assert default_threads() == 2 and default_threads(cameras=1) == 0
-    assert default_threads(busy=1) == 0  # the simulated world has one of them, the loop the other
+    assert default_threads(busy=1) == 0  # one processor for the simulated world, one for the loop
     monkeypatch.setattr(platform_support, "processors", lambda: 3)
     assert default_threads(busy=1) == 2

@@ -33,7 +33,7 @@ def test_an_example_is_short(path):
 
 
 def run(name, needs="mujoco"):
-    """The names that an example leaves behind."""
+    """Return the global names of an example after its run."""
     if find_spec(needs) is None:
         pytest.skip(f"the example needs {needs}")
     return SimpleNamespace(**runpy.run_path(str(FOLDER / f"{name}.py")))
@@ -70,7 +70,7 @@ def test_example_turn_an_edge(capsys):
 @pytest.mark.slow
 def test_arm_follows_touch(capsys):
     example = run("arm_follows_touch", "mink")
-    # the wall goes by at most 3 mm/s, the arm by 36 mm/s for each N: it lags by 0.08 N
+    # the wall moves at 3 mm/s or less, the arm at 36 mm/s per N: a lag of 0.08 N
     assert np.isfinite(example.held).all()
     assert np.abs(example.held - example.FORCE_GOAL).max() < 0.16
     assert np.mean(example.held) == pytest.approx(example.FORCE_GOAL, abs=0.08)
@@ -86,7 +86,8 @@ def test_touch_in_robosuite(capsys):
     assert np.min(estimated) > 0.8  # the gripper closes until the mean estimate is 1 N
     # an image is up to 33 ms old and the arm moves up: the mean of both fingers changes least
     assert np.mean(estimated) == pytest.approx(np.mean(true), rel=0.1)
-    # `Lift` counts 40 mm over the table as lifted; the table is at 0.8 m, the cube's middle at 0.82
+    # `Lift` counts 40 mm over the table as lifted; the table is at 0.8 m, the center of the cube at
+    # 0.82
     assert example.observation["cube_pos"][2] > 0.86
     assert example.env._check_success()
     assert "estimated" in capsys.readouterr().out
@@ -145,7 +146,7 @@ def test_touch_on_a_shadow_hand():
 
 
 def code_lines(name):
-    """Those that are neither docstring, import, comment nor empty."""
+    """Return the lines that are neither docstring, import, comment nor empty."""
     text = (FOLDER / f"{name}.py").read_text().split('"""', 2)[2]
     return [
         line
@@ -178,7 +179,7 @@ def test_two_sensors_on_an_arm():
 
 @pytest.mark.slow(10)
 def test_example_firmer_in_the_air(tmp_path):
-    """The pressure goes from 0.6 to 2 kPa while an egg is held, and the force stays right."""
+    """The pressure rises from 0.6 to 2 kPa while an egg is held, and the force remains accurate."""
     scenario = mjtactile.Scenario(
         controller=str(FOLDER / "firmer_in_the_air.py"), effects="-images"
     )
@@ -188,10 +189,10 @@ def test_example_firmer_in_the_air(tmp_path):
     log = load_recording(tmp_path)
     held = log.columns["phase"] == "hold"
     pressures = log.column("gauge_pressure")[held]
-    assert pressures[0] == pytest.approx(600.0, abs=25.0)  # noise of the gauge
+    assert pressures[0] == pytest.approx(600.0, abs=25.0)  # noise of the pressure sensor
     assert pressures[-1] == pytest.approx(2000.0, abs=25.0)
     error = (log.column("force_normal") - log.column("force_normal_true"))[held]
-    # none of them is unknown; one image's bar is 0.015 N at 2 kPa
+    # no force is unknown; the standard deviation of an image is 0.015 N at 2 kPa
     assert np.abs(error.mean(axis=0)).max() < 0.015
     assert np.abs(error).max() < 0.03
 
@@ -243,14 +244,14 @@ def test_calibrate_and_use_a_finger(capsys):
     left, right = np.nanmax(np.abs(example.forces - example.true[: len(example.forces)]), axis=0)
     # force difference in N: same images, same chain; only decimal rounding in the file remains
     assert left < 1e-9
-    assert right > 0.01  # a lens 3 % off matters
+    assert right > 0.01  # a lens error of 3 % is significant
     assert np.nanmax(example.true) > 0.3 and "left finger calibrated" in capsys.readouterr().out
 
 
 @pytest.mark.clock(20)
 def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
-    """A package with nothing but the example and its entry point, installed into a folder of its
-    own."""
+    """The package contains only the example and its entry point, and is installed into its own
+    folder."""
     site = tmp_path / "site"
     work = tmp_path / "work"
     (site / "my_camera-1.0.dist-info").mkdir(parents=True)
@@ -266,7 +267,7 @@ def test_my_camera_class_is_found_by_its_entry_point_and_drives_a_rig(tmp_path):
         resources.find("emulated", "models/rigs", ".toml")
         .read_text()
         .replace('backend = "ffmpeg"', 'backend = "newest"')
-        .replace("reply_timeout_ms = 20", "reply_timeout_ms = 100")  # it is about the camera
+        .replace("reply_timeout_ms = 20", "reply_timeout_ms = 100")  # this test checks the camera
     )
     (work / "rig.toml").write_text(rig)
     environment = os.environ | {

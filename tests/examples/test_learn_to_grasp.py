@@ -1,4 +1,4 @@
-"""Test that the learner's file acts as the learner does."""
+"""Test that a saved policy has the actions of the learner."""
 
 import functools
 import runpy
@@ -27,7 +27,7 @@ def test_the_ten_lines_of_the_page_learn(tmp_path, monkeypatch):
 
 
 def test_a_saved_policy_acts_as_the_learner_does(tmp_path, monkeypatch):
-    """To single precision, through scale and layers."""
+    """Actions agree in single precision, through scale and layers."""
     learner = pytest.importorskip("stable_baselines3")
     example = runpy.run_path(str(CHECKOUT / "examples/learn_to_grasp.py"))
     env = example["make"]()
@@ -73,7 +73,7 @@ def test_a_policy_learned_in_many_worlds_is_saved_as_the_learner_acts(tmp_path):
 
 @pytest.mark.slow(60)
 def test_a_policy_with_a_memory_is_learned_from_the_adaptive_controller(tmp_path):
-    """A round in which the teacher acts, and one in which the policy does, of one episode each."""
+    """The teacher acts in one round and the policy in another, one episode each."""
     pytest.importorskip("torch")
     example = runpy.run_path(str(CHECKOUT / "examples/learn_from_adaptive.py"))
     example["main"].__globals__.update(EPISODES=(1, 1), EPOCHS=1, TIME_LIMIT=3.0)

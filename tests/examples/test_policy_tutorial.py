@@ -27,8 +27,8 @@ def record(folder):
 
 
 def test_the_tutorial_fits_the_recorded_actions(tmp_path, monkeypatch):
-    """Two equal synthetic grasps. A fit explains their actions better than the mean action: half
-    of its error is far from both."""
+    """Two equal synthetic grasps. A fit explains their actions better than the mean action: the
+    bound of half its error is far from both."""
     pytest.importorskip("sklearn")
     for name in "ab":
         record(tmp_path / "runs" / name)

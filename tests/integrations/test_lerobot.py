@@ -1,6 +1,7 @@
 # pyright: reportMissingImports=false
-"""LeRobot's own commands record an episode of the simulated hand, and replay it. In an environment
-of its own (docs/how-to/integrations.md); skipped where LeRobot and the packages of integrations/ are not."""
+"""Tests that LeRobot's commands record an episode of the simulated gripper, and replay it. They run
+in a separate environment (docs/how-to/integrations.md) with LeRobot and the packages of
+integrations/, else they are skipped."""
 
 import itertools
 import json
@@ -36,7 +37,7 @@ def first_image(data, name):
 
 
 class NewestFrame:
-    """A driver that takes a picture every other time that it is asked, each brighter by one."""
+    """Driver that returns a new image at every second request, each brighter by one."""
 
     def __init__(self, device):
         self.device = device
@@ -54,8 +55,8 @@ class NewestFrame:
 
 
 def test_a_finger_of_a_rig_file_on_another_robot(monkeypatch):
-    """LeRobot makes the camera from its options: size and rate are the rig file's, and a picture
-    is handed out once."""
+    """LeRobot creates the camera from its options: size and rate are those of the rig file, and
+    each image is returned once."""
     from lerobot.cameras import make_cameras_from_configs
 
     monkeypatch.setattr(camera_package.camera, "load_backend", lambda group, name: NewestFrame)
@@ -116,9 +117,9 @@ def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
     for name in ("left", "right", "tip"):
         assert info["features"][f"observation.images.{name}"]["shape"] == [480, 640, 3]
     own, tip = (first_image(tmp_path / "data", name) for name in ("right", "tip"))
-    # the same picture, through the same encoder
+    # the same image, through the same encoder
     np.testing.assert_array_equal(own, tip)
-    assert own.std() > 5  # grey values: there is something in it
+    assert own.std() > 5  # gray values: the image is not uniform
     # `gentle` holds with 0.6 N, 40 mm above the table
     assert height.max() == pytest.approx(0.04, abs=2e-3)
     assert np.median(force[height > 0.03]) == pytest.approx(0.6, abs=0.05)

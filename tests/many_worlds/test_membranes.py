@@ -122,9 +122,9 @@ def test_forces_of_all_shapes(depth):
     ]
     _, force, exact, pressure, gauge = pressed(rows, depth)
     error = force / exact - 1
-    assert np.sqrt(np.mean(error**2)) < 0.005  # asked: 2 %
+    assert np.sqrt(np.mean(error**2)) < 0.005  # required: 2 %
     assert np.abs(error).max() < 0.02
-    assert pressure == pytest.approx(gauge, rel=3e-3)  # asked: 1 %
+    assert pressure == pytest.approx(gauge, rel=3e-3)  # required: 1 %
 
 
 @pytest.mark.slow(10)
@@ -135,7 +135,7 @@ def test_another_sensor():
 
 
 def test_large_objects_deep_in_a_soft_membrane_are_followed():
-    """With full steps of the heights, the steep strip beside the frame alternates between two
+    """With full steps of the heights, the steep strip next to the frame alternates between two
     shapes, and solutions are rejected. Four outer steps per 0.1 mm lag behind by less than 1 %."""
     dense = load_sensor("dense")
     soft = replace(dense, membrane=replace(dense.membrane, young=0.7 * dense.membrane.young))

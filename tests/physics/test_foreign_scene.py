@@ -8,7 +8,7 @@ import pytest
 from mjtactile.core.errors import InputError
 from mjtactile.sim.attach import attach_membrane, configure_options
 
-THEIRS = """<mujoco><option noslip_iterations="20" {option}><flag {flag}/></option>{size}
+FOREIGN_SCENE = """<mujoco><option noslip_iterations="20" {option}><flag {flag}/></option>{size}
 <worldbody>
  <body name="arm" pos="0 0 0.3"><joint name="first" type="slide" axis="1 0 0" damping="1"/><geom size="0.02" mass="0.5"/>
   <body name="finger" pos="0 0 0.1" gravcomp="1"><geom size="0.02" mass="0.1"/><site name="tip" pos="0 0 0.03"/></body></body>
@@ -23,7 +23,7 @@ ABOVE = "0 0 0.448"
 
 def theirs(*, place=BESIDE, bits=1, option="", flag="contact='enable'", size=""):
     spec = mujoco.MjSpec.from_string(
-        THEIRS.format(place=place, bits=bits, option=option, flag=flag, size=size)
+        FOREIGN_SCENE.format(place=place, bits=bits, option=option, flag=flag, size=size)
     )
     changed = configure_options(spec)
     return spec, changed

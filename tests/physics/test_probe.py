@@ -28,12 +28,12 @@ def sensor(tmp_path):
 
 
 @pytest.fixture
-def brisk(tmp_path):
+def fast_probe(tmp_path):
     """The probe's controller, in more of a hurry, with other values of more constants."""
 
     def controller(**constants):
         text = shipped_with("probe", HOLD_TIME=1.0, REST_TIME=0.8, **constants)
-        path = tmp_path / "brisk.py"
+        path = tmp_path / "fast_probe.py"
         path.write_text(text, encoding="utf-8")
         return path
 
@@ -46,9 +46,9 @@ def probe(capsys, *args):
 
 
 @pytest.mark.slow(17)
-def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor, brisk):
+def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor, fast_probe):
     slower = sensor(15.0)
-    words = ["--object", "sponge", "--sensor", slower, "--controller", brisk(APPROACH_SPEED=0.03)]
+    words = ["--object", "sponge", "--sensor", slower, "--controller", fast_probe(APPROACH_SPEED=0.03)]
     code, found = probe(capsys, *words, "--out", tmp_path / "live")
     sample = SHIPPED["sponge"][0]
     assert (code, found["material"], found["status"]) == (0, "soft", "ok")
@@ -69,11 +69,11 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor,
 
 @pytest.mark.slow(15)
 @pytest.mark.parametrize(("name", "kind"), [("block", "solid"), ("clay", "amorphous")])
-def test_object_is_classified(capsys, name, kind, sensor, brisk):
+def test_object_is_classified(capsys, name, kind, sensor, fast_probe):
     """The shipped controller classifies the block; clay needs more travel, since it yields so
     far."""
     mine = (
-        ["--controller", brisk(PRESS_TRAVEL_MAX=0.004, APPROACH_SPEED=0.03)]
+        ["--controller", fast_probe(PRESS_TRAVEL_MAX=0.004, APPROACH_SPEED=0.03)]
         if name == "clay"
         else []
     )

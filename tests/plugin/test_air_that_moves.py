@@ -46,7 +46,7 @@ def reading(pressure: float, time: float, *, is_open: bool = False) -> PressureR
 
 
 def test_noise_of_the_pressure_sensor_is_averaged_and_leaks_are_tracked() -> None:
-    """Against the closed form of a sealed volume that loses a share of its gas."""
+    """The closed form is that of a sealed volume that loses a fraction of its gas."""
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
     volume = 24e-6

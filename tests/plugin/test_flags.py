@@ -1,5 +1,4 @@
-"""Tests of flags in a user's scene: flags on the finger, and a stop where numbers would be
-wrong."""
+"""Tests of flags in a user's scene: flags on the finger, and a stop where values would be wrong."""
 
 import mujoco
 import numpy as np

@@ -1,4 +1,4 @@
-"""Misuse of a bound sensor and of the environment: one named error each."""
+"""Tests of misuse of a bound sensor and of the environment: one named error each."""
 
 import copy
 import dataclasses
@@ -82,7 +82,7 @@ def test_duplicate_fingers_and_other_types_are_refused(bound):
 
 
 def test_non_finite_values_are_refused_by_name():
-    """A membrane at NaN touches nothing: it would report no contact with status "ok"."""
+    """A membrane at NaN has no contact, which would be reported with status "ok"."""
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec)
     spec.worldbody.add_site(name="tip", pos=[np.nan, 0, 0])

@@ -48,7 +48,7 @@ def held():
         fingers = [tip.bind(model, data) for tip in tips]
     mujoco.mj_forward(model, data)
     for number in range(200):
-        if number < 110:  # the arm sags a little; the ball goes with it until it is held
+        if number < 110:  # the arm sags slightly; the ball moves with it until held
             data.joint("ball").qpos[:3] = (data.site("left").xpos + data.site("right").xpos) / 2
             data.joint("ball").qvel = 0
         data.ctrl[-2:] = max(0.024 - 0.1 * data.time, 0.0155)

@@ -1,4 +1,4 @@
-"""`attach`, `bind`, `step`, `touch` in a scene that its user steps."""
+"""Tests of `attach`, `bind`, `step`, `touch` in a scene stepped by the user."""
 
 from types import SimpleNamespace
 
@@ -39,7 +39,7 @@ def run(s, seconds):
 
 @pytest.fixture(scope="module")
 def loaded():
-    """A ball that lies on one of two sensors, from before they were bound."""
+    """Provide a ball that lies on one of two sensors before they are bound."""
     s = scene(ON_THE_SENSOR, sites=("here", "there"))
     run(s, 0.8)
     return s
@@ -70,12 +70,12 @@ def test_a_sensor_starts_inflated_sealed_and_at_rest():
     finger = s.fingers[0]
     height = finger.sensor.height_at(0, 0)
     pressure = finger.gauge_pressure
-    # the sheet was still settling by some nm when its valve closed
+    # the membrane was still settling by some nm when its valve closed
     assert pressure == pytest.approx(finger.design.chamber.supply_gauge, rel=1e-4)
     assert not finger.sensor.valve_is_open
     assert abs(finger.touch.force_normal) < 0.03
     run(s, 0.3)
-    # the step's tolerance of 1e-7 leaves less than this of a shape that is in balance
+    # at the step's tolerance of 1e-7 the deviation from equilibrium is smaller
     assert finger.sensor.height_at(0, 0) == pytest.approx(height, abs=1e-6)
     assert finger.gauge_pressure == pytest.approx(pressure, abs=1.0)
 
@@ -89,7 +89,7 @@ def test_images_are_rendered_when_they_are_due():
         times.append(finger.image.time)
         assert finger.touch.age == pytest.approx(s.data.time - finger.image.time)
     seen = np.unique(times)
-    assert len(seen) == 1 + int(0.5 * finger.design.camera.rate)  # one more: that of the start
+    assert len(seen) == 1 + int(0.5 * finger.design.camera.rate)  # one more image, at the start
     assert finger.touch.age <= 1 / finger.design.camera.rate
 
 
@@ -104,7 +104,7 @@ def test_a_reset_restores_the_initial_state():
         run(s, 0.1)
     s.fingers[0].reset()
     run(s, 0.3)
-    assert s.fingers[0].touch.force_normal == first  # to the bit: the noise is the same too
+    assert s.fingers[0].touch.force_normal == first  # bit-identical, including the noise
 
 
 def test_binding_again_is_a_fresh_start_also_while_a_sensor_sleeps():
@@ -177,6 +177,6 @@ def test_options_of_a_scene_do_not_change_the_force(option):
     finger = mount.bind(model, data)
     mjtactile.step(model, data, [finger], nstep=round(0.8 / model.opt.timestep))
     world = SimpleNamespace(model=model, data=data, sensors=[finger.sensor])
-    # it has come to rest
+    # the ball is at rest
     assert -ground_truth.contact_force(world, 0)[2] == pytest.approx(0.05 * G, abs=0.01)
     assert finger.touch.force_normal == pytest.approx(0.05 * G, abs=0.03)

@@ -191,7 +191,7 @@ class Mechanism:
 
 
 @pytest.fixture
-def hurry(monkeypatch):
+def short_waits(monkeypatch):
     """The guided run's waiting times, shortened: the mechanism here settles at once."""
     for name, value in (
         ("_SPEED", 0.1),
@@ -203,7 +203,7 @@ def hurry(monkeypatch):
 
 
 @pytest.mark.clock(7)
-def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
+def test_backlash_and_zero_of_jaws_on_a_bus(short_waits):
     with (
         servo_bench() as bench,
         Mechanism(bench.servos, play=2e-4) as jaws,
@@ -222,7 +222,7 @@ def test_backlash_and_zero_of_jaws_on_a_bus(hurry):
 
 
 @pytest.mark.clock(7)
-def test_current_to_force_of_jaws_on_a_bus(hurry):
+def test_current_to_force_of_jaws_on_a_bus(short_waits):
     with (
         servo_bench() as bench,
         Mechanism(bench.servos, block=0.06, torque_fraction=0.75) as jaws,
@@ -238,7 +238,7 @@ def test_current_to_force_of_jaws_on_a_bus(hurry):
 
 
 @pytest.mark.clock
-def test_jaws_without_contact_give_no_calibration(hurry):
+def test_jaws_without_contact_give_no_calibration(short_waits):
     with (
         servo_bench() as bench,
         Mechanism(bench.servos),
@@ -308,7 +308,7 @@ def test_recorded_step_through_the_command(tmp_path, capsys):
 
 
 @pytest.mark.clock(12)
-def test_a_valve_on_a_pty(hurry):
+def test_a_valve_on_a_pty(short_waits):
     with valve_bench() as (port, _, _, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
         start = scaled_clock.monotonic()
@@ -327,7 +327,7 @@ def test_a_valve_on_a_pty(hurry):
 
 
 @pytest.mark.clock
-def test_a_board_without_a_sensor_cannot_be_calibrated(hurry):
+def test_a_board_without_a_sensor_cannot_be_calibrated(short_waits):
     with valve_bench(sensors=False) as (port, *_):
         boards, valves = connect_valves(valve_configs(port.path))
         try:

@@ -172,7 +172,7 @@ def test_a_viewer_that_connects_later_sees_the_scene():
 def test_a_failed_viewer_is_disconnected(tmp_path, caplog):
     view = mjtactile.LiveView(f"foxglove:{tmp_path / 'run.mcap'}")
 
-    class Broken:
+    class BrokenViewer:
         where, forgets = "", False
 
         def log(self, item):
@@ -181,7 +181,7 @@ def test_a_failed_viewer_is_disconnected(tmp_path, caplog):
         def close(self):
             pass
 
-    view._open = lambda *_, **__: Broken()
+    view._open = lambda *_, **__: BrokenViewer()
     assert len(grasping(view)) >= 3  # the run went on
     assert "the disk is full" in view.problem and "the disk is full" in caplog.text
 

@@ -26,7 +26,7 @@ from mjtactile.runtime import control_loop
 from mjtactile.runtime.controller import Controller
 from mjtactile.runtime.cycle import ControlCycle
 from mjtactile.runtime.supervisor import Supervisor
-from tests.stub_rig import FEELS, OK, PERIOD, World
+from tests.stub_rig import PERCEPTION_STUB, OK, PERIOD, World
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_command_made_past_its_checks_leads_to_the_retreat(change):
 def test_every_send_error_leads_to_the_retreat(change):
     """Values are checked where they are obeyed, too: not every command is a controller's."""
     world = World()
-    cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle = ControlCycle.start(world.rig(), PERCEPTION_STUB, Supervisor(PERIOD), Observer())
     cycle.read_sensors()
     cycle.observe()
     sent = cycle.send(change(Command(0.05, 4.0, 0.02, "hold")))
@@ -164,7 +164,7 @@ def test_every_send_error_leads_to_the_retreat(change):
 def test_a_retreat_that_cannot_be_sent_is_the_end():
     world = World()
     world.command = lambda command: 1 / 0  # type: ignore[method-assign]
-    cycle = ControlCycle.start(world.rig(), FEELS, Supervisor(PERIOD), Observer())
+    cycle = ControlCycle.start(world.rig(), PERCEPTION_STUB, Supervisor(PERIOD), Observer())
     cycle.read_sensors()
     cycle.observe()
     cycle.send(Command(0.05, 4.0))

@@ -101,11 +101,11 @@ def test_flags_are_recorded_when_they_change_and_at_the_end():
     flags = {}
     noted = []
 
-    class Keeps(Observer):
+    class NoteObserver(Observer):
         def note(self, **facts):
             noted.append({"flags": dict(facts["flags"])})
 
-    with FlagObserver(lambda: flags, Keeps()) as notes:
+    with FlagObserver(lambda: flags, NoteObserver()) as notes:
         notes.on_images()
         flags["sharp_edge"] = "an edge presses"
         notes.on_images()
@@ -119,11 +119,11 @@ def test_the_last_record_has_the_final_times():
     tracker = FlagTracker(0.0)
     noted = []
 
-    class Keeps(Observer):
+    class NoteObserver(Observer):
         def note(self, **facts):
             noted.append(facts["flags"]["sharp_edge"].last)
 
-    with FlagObserver(tracker.flags, Keeps()) as notes:
+    with FlagObserver(tracker.flags, NoteObserver()) as notes:
         tracker.update(1.0, {"sharp_edge": "an edge presses"})
         notes.on_images()
         tracker.update(2.0, {"sharp_edge": "an edge presses"})

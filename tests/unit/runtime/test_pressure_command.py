@@ -118,11 +118,11 @@ def test_pressure_is_kept_without_images_and_in_a_retreat(supervisor):
 
 
 def test_a_valve_that_does_not_obey_leads_to_the_retreat():
-    class Broken(Chamber):
+    class BrokenChamber(Chamber):
         def regulate_pressure(self, pressure):
             raise DeviceError("valve left is lost")
 
     world = World()
     with pytest.raises(DeviceError, match="stopped safely: valve left is lost"):
-        run_air(world, Broken(), lambda o: replace(o.command, gauge_pressure=(900.0,)))
+        run_air(world, BrokenChamber(), lambda o: replace(o.command, gauge_pressure=(900.0,)))
     assert world.has_set_down()

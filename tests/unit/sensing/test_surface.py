@@ -39,7 +39,7 @@ class Cosine:
         )
 
 
-class Pressed:
+class PressedSurface:
     """An ideal membrane (T lap z = -p) under a ball of radius R that has come down to z =
     -depth."""
 
@@ -68,7 +68,7 @@ class Pressed:
 
 @lru_cache
 def pressed():
-    return Pressed()
+    return PressedSurface()
 
 
 def exact(shape):
