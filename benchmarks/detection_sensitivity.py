@@ -80,8 +80,8 @@ def shots(
     """
     flat, pressed = bent.flat[0].pixels, bent.images[4].pixels
     more = [_processed(bent.images[0].pixels), _processed(pressed)]
-    more += [_small(one) for one in (flat, pressed, _processed(pressed))]
-    return [*setting_sensitivity.shots(presses), *((Image(one), bent) for one in more)]
+    more += [_small(item) for item in (flat, pressed, _processed(pressed))]
+    return [*setting_sensitivity.shots(presses), *((Image(item), bent) for item in more)]
 
 
 def _processed(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -126,7 +126,7 @@ def change(
     bars = [1.0]
     for old, new in zip(before, now, strict=True):
         if old is None or new is None:
-            circles += sum(len(one.sure) for one in (old, new) if one is not None)
+            circles += sum(len(item.sure) for item in (old, new) if item is not None)
             continue
         pairs = _pairs(old, new)
         status = [(old.poses.status[i], new.poses.status[j]) for i, j in pairs]

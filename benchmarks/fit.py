@@ -153,7 +153,7 @@ def run(
     notify = Progress().message if notify is None else notify
     kept = Path(out) / "fit.json"
     stored = list(read_json(kept)["specimens"]) if resume and kept.exists() else []
-    rows = [row for row in stored if row["label"] in {one.label for one in AS_BUILT}]
+    rows = [row for row in stored if row["label"] in {item.label for item in AS_BUILT}]
     for as_built in AS_BUILT[:1] if quick else AS_BUILT:
         if as_built.label in {row["label"] for row in rows}:
             continue

@@ -65,7 +65,7 @@ def run(
             if not row["heights_mm"]:
                 steps = inflate(design, PRESSURES, mesh=mesh)["steps"]
                 row["heights_mm"] = [[s["centre_height_mm"], s["theory_height_mm"]] for s in steps]
-            done = [one["seed"] for one in row["presses"]]
+            done = [press["seed"] for press in row["presses"]]
             for seed in range(FIRST_SEED, FIRST_SEED + (PRESSES_QUICK if quick else PRESSES)):
                 if seed in done:
                     continue

@@ -166,7 +166,7 @@ def cell(page: str, row: str, column: str, *, source: str) -> str:
     for heading, *rows in _tables(page):
         if not set(columns) <= set(heading):
             continue
-        places = [heading.index(one) for one in columns]
+        places = [heading.index(column) for column in columns]
         found = [_first(rows, beginning) for beginning in beginnings]
         cells = [cells[at] for cells in found if cells is not None for at in places]
         if len(cells) == len(beginnings) * len(columns):

@@ -172,7 +172,7 @@ def shots(presses: Sequence[RecordedPress]) -> list[tuple[Image, RecordedPress]]
     small = cv2.resize(sharp, None, fx=0.35, fy=0.35, interpolation=cv2.INTER_AREA)
     framed = np.pad(small, 120, constant_values=40)
     bent = np.round(255 * (sharp / 255.0) ** (1 / 2.2)).astype(np.uint8)
-    found += [(Image(one), dense) for one in (sampled, glare, bent)]
+    found += [(Image(item), dense) for item in (sampled, glare, bent)]
     found += [(Image(framed), dense)]
     large = coarse.images[4].pixels
     soft = cv2.GaussianBlur(large, (0, 0), 2.0)

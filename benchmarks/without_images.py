@@ -241,8 +241,8 @@ def table(result: dict[str, Any]) -> str:
         def cell(key: str, row: dict[str, Any] = row) -> str:
             values = (row["images"][key], row["none"][key])
             return " / ".join(
-                ", ".join(f"{v:.1f}" for v in one) if isinstance(one, list) else f"{one:.2f}"
-                for one in values
+                ", ".join(f"{v:.1f}" for v in value) if isinstance(value, list) else f"{value:.2f}"
+                for value in values
             )
 
         cells = map(cell, ("mean_um", "sd_um", "outliers_percent"))

@@ -47,7 +47,9 @@ def emulated_rig(object_name: str = "egg") -> EmulatorProcess:
     """Emulated hardware whose cameras have the rate of `rig_text`."""
     rig_file = load_rig_file("emulated")
     cameras = tuple(replace(camera, rate=RATE) for camera in rig_file.cameras)
-    return EmulatorProcess(replace(rig_file, cameras=cameras), SLOW_CAMERA_DESIGN, object_name=object_name)
+    return EmulatorProcess(
+        replace(rig_file, cameras=cameras), SLOW_CAMERA_DESIGN, object_name=object_name
+    )
 
 
 def write_slower_sensor(folder: Path) -> str:

@@ -143,7 +143,7 @@ def _near(key: str, value: Any, rng: np.random.Generator) -> Any:
         return value
     factor = 1 + _SPREAD * rng.uniform(-1, 1)
     if isinstance(value, list):
-        return [factor * one for one in value]
+        return [factor * item for item in value]
     found = factor * (value - _off(key)) + _off(key)
     return min(found, _ENTRIES[key].high)
 

@@ -91,7 +91,7 @@ def _rows(
 def _row(grasp: Grasp, estimated: ReplayResult, clean: ReplayResult) -> dict[str, Any]:
     """Compute force errors, and changes against the same images without a fault."""
     forces, usual = (
-        np.array([touch.force_normal for touch in one.touches]) for one in (estimated, clean)
+        np.array([touch.force_normal for touch in item.touches]) for item in (estimated, clean)
     )
     changed = forces - usual
     return {

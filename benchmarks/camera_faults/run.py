@@ -142,7 +142,7 @@ def _usual(rows: Sequence[Row]) -> list[str]:
         return []
 
     def at_most(found: Sequence[Row]) -> str:
-        rms, worst = (max(one[key] or 0.0 for one in found) for key in ("rms_N", "worst_N"))
+        rms, worst = (max(item[key] or 0.0 for item in found) for key in ("rms_N", "worst_N"))
         return f"{rms:.3f} / {worst:.2f}"
 
     names = "; ".join(dict.fromkeys(label(row["name"]) for row in rows))
@@ -186,5 +186,5 @@ def _off(found: Row) -> str:
 
 def _short(value: Any) -> str:
     if isinstance(value, list):
-        return " ".join(f"{one:.3g}" for one in value)
+        return " ".join(f"{item:.3g}" for item in value)
     return f"{value:.3g}"

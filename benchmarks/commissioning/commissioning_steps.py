@@ -78,7 +78,7 @@ class Day:
         except MjtactileError as error:
             row = {"step": name, "failed": str(error)}
         row.setdefault("seconds", _since(start))
-        self.rows = [*(one for one in self.rows if one["step"] != name), row]
+        self.rows = [*(row for row in self.rows if row["step"] != name), row]
         write_json(self._out / "commissioning.json", self.results())
         self._notify(f"{name}: {row}")
 
@@ -265,7 +265,7 @@ class Day:
             one = read_json(kept)
             errors.append(np.array(one["errors_N"], float))
             seconds += one["seconds"]
-        mean = np.array([np.nanmean(one, axis=0) for one in errors])
+        mean = np.array([np.nanmean(error, axis=0) for error in errors])
         return {
             "mean_N": mean.tolist(),
             "worst_mean_N": float(np.abs(mean).max()),

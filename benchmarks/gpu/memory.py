@@ -25,8 +25,8 @@ def _allocated() -> float:
     import warp as wp
 
     own = {
-        one.ptr: one.capacity
-        for one in gc.get_objects()
-        if type(one) is wp.array and one.ptr and one._ref is None
+        item.ptr: item.capacity
+        for item in gc.get_objects()
+        if type(item) is wp.array and item.ptr and item._ref is None
     }
     return sum(own.values()) / 1e9

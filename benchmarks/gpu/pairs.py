@@ -241,7 +241,7 @@ def _next_actions(
 ) -> NDArray[np.float32]:
     """Return the actions (n, 3) from the devices' commanded `openings` and `heights` (n,), m, to
     the commands of the CPU."""
-    actions = np.stack([one.actions[step] for one in grasps]).astype(np.float32)
+    actions = np.stack([grasp.actions[step] for grasp in grasps]).astype(np.float32)
     for k, one in enumerate(grasps):
         if step < len(one.commanded):
             opening, height = one.commanded[step]

@@ -21,8 +21,8 @@ def check(errors: SensingErrorModel, rows: dict[str, Array]) -> dict[str, Any]:
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
     known = np.asarray(rows["status"] == "ok")
     left = rows["estimated"] - rows["wrench"] @ (np.eye(6) + errors.gain).T
-    at = [errors.at(float(one)) for one in load]
-    z = (left - [one.mean for one in at]) / [one.sd for one in at]
+    at = [errors.at(float(item)) for item in load]
+    z = (left - [item.mean for item in at]) / [item.sd for item in at]
     by_load = []
     for low, high in pairwise(errors.loads.tolist()):
         here = known & (load >= low) & (load < high)

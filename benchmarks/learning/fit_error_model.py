@@ -171,7 +171,7 @@ def _taken(rows: Rows, which: Array) -> Rows:
 def _shares(load: Array) -> Array:
     """Return the weight (n, k) of each row at each of LOADS: 1 at the load, 0 at the next."""
     at = np.clip(load, LOADS[0], LOADS[-1])
-    return np.stack([np.interp(at, LOADS, one) for one in np.eye(len(LOADS))], axis=1)
+    return np.stack([np.interp(at, LOADS, item) for item in np.eye(len(LOADS))], axis=1)
 
 
 def _gain(true: Array, error: Array) -> Array:
@@ -278,7 +278,7 @@ def _typical(
     found: list[Array | None] = []
     for k in range(len(LOADS)):
         own = [values[which & (nearest == k)] for which in _each(rows)]
-        values_of = [of(one) for one in own if len(one) >= _FEW_OF_GRASP]
+        values_of = [of(item) for item in own if len(item) >= _FEW_OF_GRASP]
         found.append(over(values_of, axis=0) if len(values_of) >= _FEW_GRASPS else None)
     enough = np.array([k for k, one in enumerate(found) if one is not None])
     if not len(enough):

@@ -90,7 +90,7 @@ def summary(found: list[dict[str, Any]], gauge: float) -> dict[str, float]:
     They are given without a correction, and with one factor fitted to the loading phase.
     """
     row, estimated, wrist = (
-        np.array([one[key] for one in found]) for key in ("row", "estimated_N", "wrist_N")
+        np.array([item[key] for item in found]) for key in ("row", "estimated_N", "wrist_N")
     )
     held = (row >= PRESSING.start) & (row < PRESSING.stop)
     growing = (estimated > 0) & (row <= LOADING)

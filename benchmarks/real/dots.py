@@ -146,7 +146,7 @@ def lattice(places: Array) -> tuple[Array, float]:
             number[other] = (number[one][0] + int(step[0]), number[one][1] + int(step[1]))
             todo.append(other)
     which = np.array(list(number))
-    at = np.array([number[one] for one in which], float)
+    at = np.array([number[item] for item in which], float)
     found, *_ = np.linalg.lstsq(_quadratic(at), places[which], rcond=None)
     low, high = at.min(axis=0) - 1, at.max(axis=0) + 1
     all_of_them = np.stack(
@@ -190,13 +190,13 @@ def _auc(values: Array, slips: NDArray[np.bool_]) -> float:
 def _left_out(values: Array, slips: NDArray[np.bool_]) -> int:
     """Count correct classifications, each by the threshold that is best for the others."""
     right = 0
-    for one in range(len(values)):
-        others = np.arange(len(values)) != one
+    for item in range(len(values)):
+        others = np.arange(len(values)) != item
         fractions = [np.mean((values[others] > t) == slips[others]) for t in values[others]]
         if not fractions:
             return 0
         threshold = values[others][int(np.argmax(fractions))]
-        right += int((values[one] > threshold) == slips[one])
+        right += int((values[item] > threshold) == slips[item])
     return right
 
 

@@ -152,8 +152,8 @@ def table(result: Mapping[str, Any]) -> str:
     ]
     for row in result["numbers"]:
         tried = [row[str(factor)] for factor in FACTORS]
-        cells = [_both([f"{one[key]}" for one in tried]) for key in ("kinds", "areas", "radii")]
-        cells.append(_both([f"{1e3 * one['force_N']:.1f}" for one in tried]))
+        cells = [_both([f"{item[key]}" for item in tried]) for key in ("kinds", "areas", "radii")]
+        cells.append(_both([f"{1e3 * item['force_N']:.1f}" for item in tried]))
         lines.append(f"| `{row['name']}` | {row['default']:g} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 

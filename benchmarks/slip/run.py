@@ -73,7 +73,7 @@ def run(
         raise InputError(f"unknown part {unknown[0]!r}", field="--parts", choices=PARTS)
     at = rate or load_sensor(SENSOR).camera.rate
     if at not in RATES:
-        raise InputError(f"{at:g} Hz", field="--rate", choices=[f"{one:g}" for one in RATES])
+        raise InputError(f"{at:g} Hz", field="--rate", choices=[f"{rate:g}" for rate in RATES])
     count = episodes or (CASES_QUICK if quick else CASES)
     seeds = range(FIRST_SEED, FIRST_SEED + count)
     rows: dict[str, list[Row]] = {part: [] for part in parts}
@@ -170,7 +170,7 @@ def rows_of(case: SlipCase, watched: Watched, test: bool = False) -> list[Row]:
                 "speed_mm_s": 1e3 * found.speed,
                 "flags": sorted(watched.flags),
                 "seconds": samples[-1].time - samples[0].time,
-                "scales": [asdict(one) for one in operating_curve.alarms(frames, signs)],
+                "scales": [asdict(alarm) for alarm in operating_curve.alarms(frames, signs)],
             }
         )
     return rows

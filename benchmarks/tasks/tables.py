@@ -22,9 +22,11 @@ def table(result: Mapping[str, Any]) -> str:
     """
     every = result["together"]
     tasks = result["tasks"]
-    fewest = min(FEWEST, max(_episodes_max(one) for one in tasks.values()))
+    fewest = min(FEWEST, max(_episodes_max(task) for task in tasks.values()))
     names = [
-        name for name in SHOWN if any(_episodes_max(one, name) >= fewest for one in tasks.values())
+        name
+        for name in SHOWN
+        if any(_episodes_max(task, name) >= fewest for task in tasks.values())
     ]
     head = " | ".join(names)
     lines = [

@@ -208,7 +208,7 @@ def _assigned(
         if all(changes[first] > _CLEARER * changes[other] for other in others):
             notify(f"{finger}: {first}")
             ask(f"Press the {_CORNER} of the {finger} finger, hold it and press Enter: ")
-            camera = next(one for one in cameras if one.source == first)
+            camera = next(camera for camera in cameras if camera.source == first)
             flip = flip_of(_mean_image(camera) - flat[first])
             if flip is None:
                 notify(

@@ -133,7 +133,7 @@ class LoopbackGate:
             with contextlib.closing(requests):
                 requests.write(head)
                 both = [_copy(reader, requests), _copy(answers, writer)]
-                tasks = [asyncio.ensure_future(one) for one in both]
+                tasks = [asyncio.ensure_future(item) for item in both]
                 await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 for task in tasks:
                     task.cancel()

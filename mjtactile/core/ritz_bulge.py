@@ -79,7 +79,7 @@ def _root(membrane: _RitzMembrane, unknown: Array, pressure: float, weight: floa
         if not np.isfinite(missing).all():
             return None
         moved = unknown + _SMALL * np.eye(len(unknown))
-        slope = np.array([membrane.residual(one, pressure, weight) - missing for one in moved])
+        slope = np.array([membrane.residual(item, pressure, weight) - missing for item in moved])
         step = np.linalg.solve(slope.T / _SMALL, -missing)
         maximum = float(np.abs(step).max())
         unknown = unknown + step * min(1.0, 1.0 / maximum)  # limit the step to 1 mm

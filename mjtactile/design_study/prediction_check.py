@@ -93,7 +93,7 @@ def check(
         plan = IndentationPlan(Indenter("sphere", BALL_RADIUS), steps, (float(at[0]), float(at[1])))
         result = press(design, plan, mesh=mesh, seed=int(rng.integers(2**31)))
         compared = [_compared(predictor, at, step) for step in result["steps"]]
-        found += [one for one in compared if one is not None]
+        found += [item for item in compared if item is not None]
         notify(f"position {index + 1} of {positions}: {len(found)} indentations")
     return found
 

@@ -172,7 +172,7 @@ class _Problem:
         self._models = models
         self._ends = np.cumsum([len(run.time) for run in runs])
         constants = [
-            [np.full(len(run.time), SHIFT_SD * (run is one)) for run in runs] for one in runs
+            [np.full(len(run.time), SHIFT_SD * (run is item)) for run in runs] for item in runs
         ]
         self._modes = np.array([np.concatenate(mode) for mode in (*constants, *modes)])
         empty = design.chamber_volume_flat - design.chamber.extra_volume

@@ -74,7 +74,7 @@ def run_loop(
     ):
         supervisor = supervisor or Supervisor(rig.period)
         cycle = ControlCycle.start(rig, perceiving, supervisor, observer or Observer())
-        _rotate_until_over(cycle, guarded, stop, limit_memory, time_limit)
+        _run_cycles(cycle, guarded, stop, limit_memory, time_limit)
     _report_flag(cycle)
     if cycle.failure is not None:
         raise cycle.failure
@@ -93,7 +93,7 @@ def _report_flag(cycle: ControlCycle) -> None:
         cycle.attempt(lambda: cycle.observer.note(not_verified_safe=unverified))
 
 
-def _rotate_until_over(
+def _run_cycles(
     cycle: ControlCycle,
     guarded: ControllerThread,
     stop: Stop,

@@ -288,7 +288,7 @@ def start_of(seed: int) -> tuple[tuple[float, float, float], Callable[[int], lis
     seeds."""
     rng = np.random.default_rng(seed)
     pose = *rng.uniform(-_SCATTER, _SCATTER, 2), rng.uniform(-1, 1)
-    return pose, lambda count: [int(one) for one in rng.integers(2**31, size=count)]
+    return pose, lambda count: [int(integer) for integer in rng.integers(2**31, size=count)]
 
 
 def place(grasped: ObjectModel, pose: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -309,7 +309,7 @@ def _tested_parameters(
     difference = rows.vector(there) - base
     total = float(difference @ difference)
     step = float(np.median(np.diff(here.time)))
-    later, earlier = (rows.vector(one) for one in shifted)
+    later, earlier = (rows.vector(item) for item in shifted)
     nuisance = {"time": ((later - earlier) / (2 * step), _CLOCK)}
     columns = {}
     for cause, probe in zip(causes, probes, strict=True):

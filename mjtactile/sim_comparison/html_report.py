@@ -89,11 +89,11 @@ def numbers(shadow: SimComparison, fingers: Sequence[str]) -> dict[str, Any]:
         "differs": shadow.differs,
         "named": None if shadow.named is None else tested(shadow.named),
         "explains": shadow.explains,
-        "alike": [one.cause.name for one in shadow.alike],
+        "alike": [item.cause.name for item in shadow.alike],
         "remedy": "" if shadow.named is None else shadow.named.cause.remedy,
         "difference_rms": rms(shadow.differences),
         "left": rms(shadow.left),
-        "tested": [tested(one) for one in shadow.tried],
+        "tested": [tested(item) for item in shadow.tried],
     }
 
 
@@ -111,8 +111,8 @@ def page(shadow: SimComparison, fingers: Sequence[str], title: str) -> str:
     body += ["<h2>Differences, rms</h2>", html.table(head, _difference_rows(shadow))]
     if shadow.tried:
         rows = [
-            (escape(one.cause.name), escape(notify(one, fingers)), f"{100 * one.explains:.0f} %")
-            for one in shadow.tried
+            (escape(item.cause.name), escape(notify(item, fingers)), f"{100 * item.explains:.0f} %")
+            for item in shadow.tried
         ]
         table = html.table(["cause", "best fit", "explains"], rows, text=True)
         body += ["<h2>Tested causes</h2>", table]

@@ -92,18 +92,18 @@ def sample_starts(
         for one, in_task, grasped in zip(sampled, tasks, objects, strict=True)
     ]
     poses = [place(one, start_of(seed)[0]) for one, seed in zip(changed, seeds, strict=True)]
-    scale = np.array([1 + one.object.size for one in sampled])
+    scale = np.array([1 + item.object.size for item in sampled])
     starts = Starts()
     starts.kind, starts.scale = ints(kinds), floats(scale)
     free = _add_bodies(starts, world, mix, kinds, poses, scale, start_of(scenario.seed)[0])
     _add_values(starts, rig, sampled, fingers)
-    starts.break_force = floats(np.minimum([one.break_force for one in changed], 1e6))
+    starts.break_force = floats(np.minimum([item.break_force for item in changed], 1e6))
     main = world.model.body(f"{PREFIX}object").id
     own = starts.objects.ipos.numpy()[kinds, free.index(main), 2] if main in free else 0.0
     center = scale * own  # the object stands upright, or has its center there
     heights = starts.free.numpy()[:, free.index(main), 2] + center if main in free else center
     starts.rest_height = floats(heights)
-    starts.pulls = floats([one.pulls() for one in tasks])
+    starts.pulls = floats([task.pulls() for task in tasks])
     starts.episode = wp.zeros(worlds, dtype=int)
     starts.row = wp.zeros(worlds, dtype=int)
     return SampledStarts(
@@ -174,25 +174,25 @@ def _add_values(
     world = rig.scene
     starts.qpos, starts.ctrl = floats(world.data.qpos), floats(world.data.ctrl)
     starts.opening, starts.force = float(world.opening), float(rig.limits.force)
-    starts.mass = floats([1 + one.object.mass for one in sampled])
-    starts.friction = floats([_frictions(one, fingers) for one in sampled])
+    starts.mass = floats([1 + item.object.mass for item in sampled])
+    starts.friction = floats([_frictions(item, fingers) for item in sampled])
     sensor = world.sensors[0]
-    stiffness = np.array([_finger_values(one, fingers, _stiffness) for one in sampled])
-    offsets = np.array([_finger_values(one, fingers, _pre_stretch) for one in sampled])
+    stiffness = np.array([_finger_values(item, fingers, _stiffness) for item in sampled])
+    offsets = np.array([_finger_values(item, fingers, _pre_stretch) for item in sampled])
     found = match_membranes(
         sensor.design, (sensor.mesh.nx, sensor.mesh.ny), stiffness.ravel(), offsets.ravel()
     )
-    starts.modulus, starts.volume = (floats(one.reshape(stiffness.shape)) for one in found)
+    starts.modulus, starts.volume = (floats(item.reshape(stiffness.shape)) for item in found)
     speed = world.rig.gripper.speed
     starts.rig = floats(
         [(c.delay, c.jitter, c.backlash, (1 + c.speed) * speed, c.force_noise)
-         for c in (one.rig for one in sampled)]
+         for c in (item.rig for item in sampled)]
     )  # fmt: skip
 
 
 def _events(tasks: Sequence[SampledTask], axes: Array) -> Array:
     """Return the disturbances of each world as rows. Their directions are along `axes` in W."""
-    table = np.zeros((len(tasks), max(1, *(len(one.events) for one in tasks)), COLUMNS))
+    table = np.zeros((len(tasks), max(1, *(len(task.events) for task in tasks)), COLUMNS))
     table[:, :, 0], table[:, :, 2] = -1, 1
     for rows, task in zip(table, tasks, strict=True):
         for row, event in zip(rows, task.events, strict=False):

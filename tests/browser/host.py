@@ -157,7 +157,7 @@ if __name__ == "__main__":
     launch = serve.launch
 
     def launch_with_recorder(config, *, plugins):
-        shown = next(one for one in plugins if isinstance(one, panel.Panel))
+        shown = next(plugin for plugin in plugins if isinstance(plugin, panel.Panel))
         shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
         return launch(config, plugins=[*plugins, WidgetRecorder(shown.source, shown, plugins[0])])
 

@@ -34,21 +34,21 @@ ROBOT = (
 )
 
 
-def bad_object(before, after, *words):
+def bad_object(before, after, *arguments):
     """Return the egg's file with one change, and words that the message must contain."""
-    return "--object", "a.xml", EGG.replace(before, after), ["a.xml", *words]
+    return "--object", "a.xml", EGG.replace(before, after), ["a.xml", *arguments]
 
 
-def bad_sensor(before, after, *words):
-    return "--sensor", "a.toml", DENSE.replace(before, after), ["a.toml", *words]
+def bad_sensor(before, after, *arguments):
+    return "--sensor", "a.toml", DENSE.replace(before, after), ["a.toml", *arguments]
 
 
-def bad_rig(before, after, *words):
-    return "--rig", "a.toml", ROBOT.replace(before, after), ["a.toml", *words]
+def bad_rig(before, after, *arguments):
+    return "--rig", "a.toml", ROBOT.replace(before, after), ["a.toml", *arguments]
 
 
-def bad_controller(text, *words):
-    return "--controller", "a.py", text, ["a.py", *words]
+def bad_controller(text, *arguments):
+    return "--controller", "a.py", text, ["a.py", *arguments]
 
 
 # case: option, file name, its text (None: not made), words that the message must have

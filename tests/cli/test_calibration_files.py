@@ -39,9 +39,9 @@ def rig(tmp_path):
     return path
 
 
-def one_line(capsys, *words):
+def one_line(capsys, *arguments):
     lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1 and all(word in lines[0] for word in words), lines
+    assert len(lines) == 1 and all(word in lines[0] for word in arguments), lines
 
 
 def cut_in_half(folder):

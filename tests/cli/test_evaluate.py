@@ -70,8 +70,17 @@ def test_interrupted_resumed_and_in_shards(tmp_path, command):
     report = (tmp_path / "one" / "report.html").read_text()
     assert report.count("data:image/png") == 1 and "mjtactile grasp --object" in report
     for part, workers in (("1/2", 2), ("2/2", 1)):
-        words = ("--workers", workers, "--worst", "0", "--shard", part, "--out", f"part{part[0]}")
-        assert command("evaluate", *COMMON, *words).returncode == 0
+        arguments = (
+            "--workers",
+            workers,
+            "--worst",
+            "0",
+            "--shard",
+            part,
+            "--out",
+            f"part{part[0]}",
+        )
+        assert command("evaluate", *COMMON, *arguments).returncode == 0
     merge = ("--merge", "part2", "part1", "--worst", "0", "--out", "whole")
     assert command("evaluate", *merge).returncode == 0
     assert (tmp_path / "whole" / "episodes.jsonl").read_bytes() == episodes.read_bytes()
@@ -120,7 +129,7 @@ def test_the_command_of_an_episode_samples_the_same_world(tmp_path, command):
     (tmp_path / "my.toml").write_text(
         "[object]\nmass_percent = [100, 200]\n[sensor]\nblur_px = [0, 1]\n"
     )
-    words = [
+    arguments = [
         SAMPLED,
         "--controller",
         "quick.py",
@@ -131,7 +140,7 @@ def test_the_command_of_an_episode_samples_the_same_world(tmp_path, command):
         "--randomization",
         "my.toml",
     ]
-    command("evaluate", *words, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
+    command("evaluate", *arguments, "--episodes", "1", "--worst", "0", "--record", "--out", "one")
     line = json.loads((tmp_path / "one" / "episodes.jsonl").read_text())
     assert (
         line["randomized"].keys() == {"object.mass_percent", "left.blur_px", "right.blur_px"}

@@ -63,8 +63,8 @@ def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_s
     assert main([*arguments, "--touches", "2", "--out", str(out), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["patches"] == 4 and "surface_error_mm_true" not in found
-    assert max(one["force_N"] for one in found["touched"]) < 0.6
-    places = np.array([one["place_mm"] for one in found["touched"]])
+    assert max(item["force_N"] for item in found["touched"]) < 0.6
+    places = np.array([item["place_mm"] for item in found["touched"]])
     # an egg of 32 mm, touched at its maximum width, with the offset of the seed
     widths = np.abs(places[::2, 0] - places[1::2, 0])
     assert widths == pytest.approx([32, 32], abs=1.0)
@@ -77,7 +77,7 @@ def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_s
 @pytest.mark.slow(20)
 def test_exploration_of_an_egg_can_be_resumed(capsys, tmp_path, monkeypatch):
     # fits of two of the six families; tests/unit/explore/ compares all of them
-    families = [one for one in FAMILIES if one.name in ("ellipsoid", "box")]
+    families = [family for family in FAMILIES if family.name in ("ellipsoid", "box")]
     assert len(families) == 2
     monkeypatch.setattr(surface_fusion, "FAMILIES", families)
     out = tmp_path / "egg"

@@ -72,7 +72,7 @@ def test_an_option_with_an_effect_is_accepted(words):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_rule_names_options_of_its_command(name):
     module = importlib.import_module(f"mjtactile.commands.{name.replace('-', '_')}")
-    names = {option for one in _single(module.ARGUMENTS) for option in one.names}
+    names = {option for item in _single(module.ARGUMENTS) for option in item.names}
     for rule in getattr(module, "RULES", ()):
         assert isinstance(rule, option_rules.Rule)
         assert {*rule.options} <= names

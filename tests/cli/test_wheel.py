@@ -95,12 +95,12 @@ def link_locked(site):
             if ".." in file.parts:  # scripts
                 continue
             # a module's bytecode exists once it has been imported
-            for one in (file, *[cache_from_source(str(file))] * (file.suffix == ".py")):
-                target = site / one
+            for item in (file, *[cache_from_source(str(file))] * (file.suffix == ".py")):
+                target = site / item
                 if not target.exists():  # a file may be in two packages
                     target.parent.mkdir(parents=True, exist_ok=True)
                     with contextlib.suppress(FileNotFoundError):
-                        link(distribution.locate_file(one), target)
+                        link(distribution.locate_file(item), target)
 
 
 def link(source, target):
@@ -136,7 +136,7 @@ def test_the_wheel_tag_is_that_of_its_libraries(wheel):
         (metadata,) = (archive.read(n).decode() for n in names if n.endswith("/WHEEL"))
     # the compressed set of the name is spelled out inside
     spelled = re.findall("^Tag: (.*)$", metadata, re.M)
-    assert sorted(spelled) == sorted(f"py3-none-{one}" for one in tag.split("."))
+    assert sorted(spelled) == sorted(f"py3-none-{item}" for item in tag.split("."))
     assert len(libraries) == len(build.instruction_sets(build.this_platform()))
     if tag.startswith("manylinux"):
         for name, library in libraries.items():

@@ -45,7 +45,9 @@ def test_the_red_button_while_holding_sets_down_releases_and_vents(emulator, tmp
     (tmp_path / "rig.toml").write_text(rig_text(emulator))
     (tmp_path / "mine.py").write_text(controller_text())
     bridge = PressedButtonBridge()
-    scenario = Scenario(sensor=SLOW_CAMERA_DESIGN, rig=str(tmp_path / "rig.toml"), time_limit=math.inf)
+    scenario = Scenario(
+        sensor=SLOW_CAMERA_DESIGN, rig=str(tmp_path / "rig.toml"), time_limit=math.inf
+    )
     controller = bridge.take_over(load_controller(tmp_path / "mine.py"))
     with pytest.raises(DeviceError, match=RED_BUTTON):
         run_grasp(scenario, [bridge], controller=controller)

@@ -371,9 +371,9 @@ def test_an_emulated_membrane_is_reported_as_a_mesh(emulator):
     try:
         session = Session(rig)
         ratios = [
-            one.pipeline.settings.contact_shape.mesh_ratio
-            for one in session.perceptions
-            if isinstance(one, StatefulPipeline)
+            perception.pipeline.settings.contact_shape.mesh_ratio
+            for perception in session.perceptions
+            if isinstance(perception, StatefulPipeline)
         ]
     finally:
         rig.close()

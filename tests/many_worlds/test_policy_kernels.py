@@ -70,7 +70,7 @@ def test_commands_and_phases_follow_command_from_action_through_complete_grasps(
         actions[:, 2] -= [2 * (c.phase == "lower") for c in last]
         seen = [observation(touching[w], measured[w], last[w], goal) for w in range(WORLDS)]
         wp.launch(grasp_phase.observe_all, WORLDS, [2, maximum, estimates, commands, observed])
-        requested = np.array([policy.policy_observation(one) for one in seen])
+        requested = np.array([policy.policy_observation(item) for item in seen])
         np.testing.assert_allclose(observed.numpy(), requested, atol=1e-5)  # single precision
         wp.launch(
             grasp_phase.command_all,
@@ -104,9 +104,9 @@ def test_commands_and_phases_follow_command_from_action_through_complete_grasps(
 
 def observation(touching, measured, last, goal):
     touches = tuple(
-        Touch(0.0, 0.0, 0.0, 0.01, bool(one), traction=None) for one in touching.tolist()
+        Touch(0.0, 0.0, 0.0, 0.01, bool(item), traction=None) for item in touching.tolist()
     )
-    opening, speed, effort, height = (float(one) for one in measured)
+    opening, speed, effort, height = (float(item) for item in measured)
     state = GripperState(opening, speed, effort, height)
     return Observation(0.0, PERIOD, touches, state, (), last, goal)
 

@@ -48,8 +48,15 @@ def probe(capsys, *args):
 @pytest.mark.slow(17)
 def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor, fast_probe):
     slower = sensor(15.0)
-    words = ["--object", "sponge", "--sensor", slower, "--controller", fast_probe(APPROACH_SPEED=0.03)]
-    code, found = probe(capsys, *words, "--out", tmp_path / "live")
+    arguments = [
+        "--object",
+        "sponge",
+        "--sensor",
+        slower,
+        "--controller",
+        fast_probe(APPROACH_SPEED=0.03),
+    ]
+    code, found = probe(capsys, *arguments, "--out", tmp_path / "live")
     sample = SHIPPED["sponge"][0]
     assert (code, found["material"], found["status"]) == (0, "soft", "ok")
     # the free width is known to 50 um of 2 mm; the force to 5 %

@@ -287,7 +287,7 @@ def test_a_driven_gripper_gets_the_forces_of_the_mesh(gripper, sites, radius, he
     assert min(mesh) > 0.5
     np.testing.assert_allclose(own, mesh, rtol=0.05)
     np.testing.assert_allclose(own, own[0], rtol=2e-3)
-    balls = [one.data.body("ball").xpos for one in (world, reference)]
+    balls = [item.data.body("ball").xpos for item in (world, reference)]
     np.testing.assert_allclose(*balls, atol=3e-4)
     assert not world.flags
 

@@ -160,7 +160,7 @@ def test_terms_shorter_than_a_step_are_stable():
     lasting = PressWorld(DENSE, BALL)
     lasting.inflate(1000.0, seal=True)
     lasting.press(2e-3)
-    force, expected = (ground_truth.contact_force(one, 0)[2] for one in (world, lasting))
+    force, expected = (ground_truth.contact_force(item, 0)[2] for item in (world, lasting))
     assert force == pytest.approx(expected, rel=0.01)  # where contact sticks is another story
 
 

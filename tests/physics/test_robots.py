@@ -482,7 +482,7 @@ def test_the_doctor_names_the_pad_in_the_chamber_and_a_remedy(tmp_path):
     pad = '<geom name="pad" type="box" size="0.004 0.01 0.002" pos="-0.006 0 0"/>'
     site = '<site name="left_fingertip"'
     rig = variant(tmp_path, "sim", model=[(site, pad + site)])
-    (finding,) = [one for one in examine_simulated(rig) if "rest on 'pad'" in one.text]
+    (finding,) = [item for item in examine_simulated(rig) if "rest on 'pad'" in item.text]
     assert (finding.level, finding.subject) == ("warn", "finger left")
     assert "contype and conaffinity of the geom to 0" in finding.remedy
 
@@ -496,7 +496,7 @@ def test_the_doctor_does_not_advise_to_exclude_the_table(tmp_path):
         model=[("<worldbody>", f"<worldbody>{low}")],
         rig=[("[sim]", "[sim]\ntable = false")],
     )
-    touched = [one for one in examine_simulated(rig) if "'bench'" in one.text]
+    touched = [item for item in examine_simulated(rig) if "'bench'" in item.text]
     assert touched
-    assert all("raise the sites" in one.remedy for one in touched)
-    assert not any("contype" in one.remedy for one in touched)
+    assert all("raise the sites" in item.remedy for item in touched)
+    assert not any("contype" in item.remedy for item in touched)

@@ -127,7 +127,7 @@ def test_a_margin_or_a_negative_gap_is_noted(options, is_noted):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         mount.bind(model, mujoco.MjData(model))
-    noted = ["'ball' has a margin or a negative gap" in str(one.message) for one in caught]
+    noted = ["'ball' has a margin or a negative gap" in str(item.message) for item in caught]
     assert noted == [True] * is_noted
 
 

@@ -188,7 +188,9 @@ def test_the_figure_of_the_architecture_is_that_of_the_import_contracts():
     # else: .venv/bin/python tools/architecture.py
     assert architecture.FIGURE.read_text() == sampled
     contracts = tomllib.loads((CHECKOUT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    layers = next(one["layers"] for one in contracts["contracts"] if one["name"] == "Layers")
+    layers = next(
+        contract["layers"] for contract in contracts["contracts"] if contract["name"] == "Layers"
+    )
     rooms = {room for floor in architecture.floors(layers) for room in floor.rooms}
     # if it fails: describe the purpose of the room in a few words
     assert rooms <= set(architecture.ROOMS)

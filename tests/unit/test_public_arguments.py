@@ -285,7 +285,7 @@ METHODS = [
 
 def filled(value):
     if isinstance(value, list):
-        return [filled(one) for one in value]
+        return [filled(item) for item in value]
     return objects()[value[1:]] if isinstance(value, str) and value[:1] == "@" else value
 
 

@@ -104,7 +104,7 @@ class MembraneSensor(Sensor[MembraneData]):
 
     def initialize(self, mj_model: mujoco.MjModel, model: Any, data: Any, device: str) -> None:
         """Connect the membranes to the worlds; mjlab passes wrappers of MuJoCo Warp's structs."""
-        m, d = (getattr(one, "struct", one) for one in (model, data))
+        m, d = (getattr(item, "struct", item) for item in (model, data))
         self._touch = mjtactile.warp.bind(mj_model, m, d, self._tips)
         self._mask = wp.zeros(d.nworld, dtype=bool, device=device)
 

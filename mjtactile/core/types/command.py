@@ -266,7 +266,7 @@ class Command:
 
 
 COMMAND_FIELDS: Mapping[str, CommandField] = {
-    one.name: one.metadata[_CONTRACT] for one in fields(Command)
+    field.name: field.metadata[_CONTRACT] for field in fields(Command)
 }
 """Contract of each field of `Command`, in their order."""
 

@@ -48,7 +48,7 @@ def combine(stats: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Combine the episodes' statistics, weighted by their frames; quantiles are their mean."""
 
     def join(key: str) -> dict[str, Any]:
-        parts = [one[key] for one in stats]
+        parts = [stat[key] for stat in stats]
         count = np.array([part["count"][0] for part in parts], float)
 
         def stack(name: str) -> Array:

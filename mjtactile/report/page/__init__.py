@@ -131,7 +131,7 @@ def _fingers(recording: Recording) -> str:
         rows.append(
             [
                 escape(name),
-                *(f"{period * slips.count(one):.2f} s" for one in names),
+                *(f"{period * slips.count(name):.2f} s" for name in names),
                 f"{period * len(blind):.2f} s{why}",
             ]
         )

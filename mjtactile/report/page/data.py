@@ -93,7 +93,7 @@ def page_data(
         for phase in recording.phases()
         if phase[0] != "done"
     ]
-    plots = [_plot(one, recording) for one in PLOTS]
+    plots = [_plot(plot, recording) for plot in PLOTS]
     return {
         "fingers": recording.fingers,
         "time": _plain(times, 4),
@@ -245,8 +245,8 @@ def _estimated(touch: Touch, unit: float, view: Any, finger: int) -> Mapping[str
     true = [] if shape is None or view is None else true_lines(shape, view, finger)
     return {
         "z": base64.b64encode(z.tobytes()).decode("ascii"),
-        "shape": [(1e3 * one).round(2).tolist() for one in estimated_lines],
-        "true": [(1e3 * one).round(2).tolist() for one in true],
+        "shape": [(1e3 * line).round(2).tolist() for line in estimated_lines],
+        "true": [(1e3 * item).round(2).tolist() for item in true],
         "arrows": np.column_stack([foot.round(2), -stress.round(0)]).tolist(),
         "text": reported,
     }

@@ -86,7 +86,7 @@ class DisturbanceSchedule:
         self._wet(time)
         if self._path is not None and time > 0:
             world.displace(self._path.at(time))
-        done = [min(max((time - one.start) / one.duration, 0.0), 1.0) for one in self._events]
+        done = [min(max((time - event.start) / event.duration, 0.0), 1.0) for event in self._events]
         started = [pair for pair in zip(self._events, done, strict=True) if pair[1] > 0]
         self._change(started)
         force = np.zeros(3)

@@ -103,10 +103,10 @@ def test_scenes_alternate_and_match_their_description():
     } == set(SENSORS)
     fine = [sample_scene(FINE_FROM + seed) for seed in range(20)]
     assert {scene.sensor for scene in fine} == set(FINE)
-    for one in [*sampled, *fine]:
-        frame = one.design.frame
-        assert abs(one.at[0]) < frame.length / 2 and abs(one.at[1]) < frame.width / 2
-        assert (one.shake[0] > 0) == (one.kind == "shaken")
+    for item in [*sampled, *fine]:
+        frame = item.design.frame
+        assert abs(item.at[0]) < frame.length / 2 and abs(item.at[1]) < frame.width / 2
+        assert (item.shake[0] > 0) == (item.kind == "shaken")
     near = [
         np.min([20e-3 - abs(s.at[0]), 15e-3 - abs(s.at[1])]) for s in sampled if s.kind == "edge"
     ]

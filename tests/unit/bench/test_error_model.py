@@ -56,7 +56,7 @@ def test_white_noise_lasting_errors_and_errors_of_a_grasp_are_distinguished():
         true[:, 2] = -0.5
         error[:, 1] += (0.04 + 0.06 * rng.standard_normal()) * true[:, 1]
         parts.append((true, error))
-    true, error = (np.concatenate(one) for one in zip(*parts, strict=True))
+    true, error = (np.concatenate(item) for item in zip(*parts, strict=True))
     count = len(true)
     rows = {
         "status": np.full(count, "ok"),

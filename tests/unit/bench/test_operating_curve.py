@@ -33,16 +33,19 @@ def signs(frames, *times):
 def test_alarms_are_counted_once_for_successive_images():
     hold = frames(np.nan)
     found = alarms(hold, signs(hold, 0.5, 1.0))
-    assert [one.alarms for one in found[:3]] == [1, 1, 0]
-    assert [one.outcome for one in found[:3]] == ["false", "false", "quiet"]
+    assert [item.alarms for item in found[:3]] == [1, 1, 0]
+    assert [item.outcome for item in found[:3]] == ["false", "false", "quiet"]
 
 
 def test_a_point_of_the_curve_by_hand():
     hold, slip = frames(np.nan), frames(1.0)
     # scale 1: in the hold, and in time; scale 2: after 0.2 s; the others: never
     rows = [
-        {"seconds": SECONDS, "scales": [vars(one) for one in alarms(hold, signs(hold, 0.5))]},
-        {"seconds": SECONDS, "scales": [vars(one) for one in alarms(slip, signs(slip, 1.05, 1.2))]},
+        {"seconds": SECONDS, "scales": [vars(alarm) for alarm in alarms(hold, signs(hold, 0.5))]},
+        {
+            "seconds": SECONDS,
+            "scales": [vars(alarm) for alarm in alarms(slip, signs(slip, 1.05, 1.2))],
+        },
     ]
     points = curve(rows)
     assert [point["in_time"] for point in points[:3]] == [1.0, 0.0, 0.0]

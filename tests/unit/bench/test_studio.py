@@ -58,4 +58,4 @@ def test_grasps_alone_and_watched_are_compared(tmp_path, monkeypatch):
         run, "_probe", lambda kind: alone if kind == "plain" else {**ROUND, "factor": 0.8}
     )
     result = run.run(tmp_path, quick=True, notify=lambda _: None)
-    assert [one["ratio"] for one in result["rounds"]] == [0.8]
+    assert [item["ratio"] for item in result["rounds"]] == [0.8]

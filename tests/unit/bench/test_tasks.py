@@ -73,12 +73,12 @@ def test_levels_are_compared_over_the_episodes_that_ended_at_both():
 
 def test_a_level_lists_its_omissions_and_is_a_separate_suite(tmp_path):
     known = {level: suite_of(level) for level in ("mesh", "quasistatic", "synthetic")}
-    assert {one.effects for one in known.values()} == {
+    assert {item.effects for item in known.values()} == {
         "-images",
         "-mesh,-images",
         "-mesh,-pipeline",
     }
-    assert len({one.name for one in known.values()}) == 3
+    assert len({item.name for item in known.values()}) == 3
     with pytest.raises(InputError, match=r"'fine' is unknown .valid: mesh, quasistatic, synthetic"):
         run(tmp_path, level="fine")
     with pytest.raises(InputError, match="'nobody' is unknown"):

@@ -136,7 +136,7 @@ def test_the_command_writes_the_camera_file(tmp_path, capsys):
             str(tmp_path / f"{k}.png"),
             marker_scenes.image(CAMERA, board(*pose, rows=3, columns=6)[1], seed=k),
         )
-    words = [
+    arguments = [
         "calibrate",
         "camera",
         str(tmp_path),
@@ -146,7 +146,7 @@ def test_the_command_writes_the_camera_file(tmp_path, capsys):
         "--radius-mm",
         "3",
     ]
-    assert main([*words, "--out", str(tmp_path / "camera.yaml"), "--json"]) == 1
+    assert main([*arguments, "--out", str(tmp_path / "camera.yaml"), "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert (
         result["views"] == 3

@@ -86,7 +86,7 @@ def enlarged(suffix):
     return bytes(data)
 
 
-@pytest.mark.parametrize("suffix", [one for one in FORMATS if one != ".ppm"])
+@pytest.mark.parametrize("suffix", [item for item in FORMATS if item != ".ppm"])
 def test_a_header_with_too_many_pixels_is_refused(suffix):
     assert image_decoding._pixels(enlarged(suffix)) > image_decoding.LARGEST
     assert decode(enlarged(suffix), cv2.IMREAD_GRAYSCALE) is None

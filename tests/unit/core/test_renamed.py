@@ -52,8 +52,14 @@ def test_an_old_option_is_refused_with_the_new_one(capsys, words, text):
 
 
 def test_an_error_of_an_invalid_value_names_no_old_name(capsys):
-    words = ["press", "--indenter", "sphere:4", "--position-mm", "3"]  # `numbers` was a benchmark
-    assert main(words) == 2
+    arguments = [
+        "press",
+        "--indenter",
+        "sphere:4",
+        "--position-mm",
+        "3",
+    ]  # `numbers` was a benchmark
+    assert main(arguments) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "'3' is not a pair of numbers X,Y" in line
     assert " is now " not in line

@@ -193,5 +193,7 @@ def test_an_error_is_one_line_with_file_field_value_and_choices(tmp_path, text, 
 def test_the_robot_receives_only_the_contents_of_the_file():
     goal = load_task("place").goal.task_goal()
     assert (goal.lift_height, goal.place_height) == (0.06, 0.02)
-    assert {one.name for one in fields(TaskGoal)} == {one.name for one in fields(GoalSettings)}
-    assert {one.name for one in fields(Disturbance)}.isdisjoint(fields(TaskGoal))
+    assert {field.name for field in fields(TaskGoal)} == {
+        field.name for field in fields(GoalSettings)
+    }
+    assert {field.name for field in fields(Disturbance)}.isdisjoint(fields(TaskGoal))

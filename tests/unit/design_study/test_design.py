@@ -123,10 +123,10 @@ def test_pareto_front():
 
     all_of_them = [tried(*row, words) for row, words in zip(rows, missed, strict=True)]
     marked = design_sweep.with_front(all_of_them)
-    assert [one.on_front for one in marked] == [True, True, False, False, True]
+    assert [item.on_front for item in marked] == [True, True, False, False, True]
     best, left = design_sweep.best(marked, 2)
-    assert [one.score.force_sd for one in best] == [1.0, 4.0]
-    assert [one.on_front for one in left] == [one.on_front for one in marked]
+    assert [item.score.force_sd for item in best] == [1.0, 4.0]
+    assert [item.on_front for item in left] == [item.on_front for item in marked]
 
 
 def test_a_proposal_that_fabricate_refuses_is_replaced_by_the_next():
@@ -145,7 +145,7 @@ def test_a_proposal_that_fabricate_refuses_is_replaced_by_the_next():
             raise InputError("cannot be built", source=made.name)
 
     best, left = design_sweep.best(tried, 3, check)
-    assert [one.score.force_sd for one in best] == [2.0, 4.0] and len(left) == 2
+    assert [item.score.force_sd for item in best] == [2.0, 4.0] and len(left) == 2
     assert design_sweep.best(tried[:1], 3, check) == ([], [])
 
 
@@ -298,7 +298,7 @@ def test_a_requirement_becomes_sensor_files(tmp_path, capsys, fewer_loads):
     assert "Predicted for contacts of 0.5 N" in capsys.readouterr().out
     result = json.loads((tmp_path / "out" / "design.json").read_text())
     assert len(result["candidates"]) + result["refused_by_fabricate"] == 1
-    assert any(one["on_front"] for one in result["candidates"])
+    assert any(candidate["on_front"] for candidate in result["candidates"])
     for best in result["best"]:
         made = load_sensor(tmp_path / "out" / best["file"])
         assert made.markers.rows == best["rows"]
@@ -319,7 +319,7 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads)
     assert f"{outside:.0f} % of the image width" in text
     # the frame's corners are drawn 533 px apart of 640
     assert result["image"]["width_used"] == pytest.approx(533 / 640, abs=0.02)
-    center = next(one for one in result["face"] if one["x_mm"] == one["y_mm"] == 0)
+    center = next(item for item in result["face"] if item["x_mm"] == item["y_mm"] == 0)
     rim = max(result["face"], key=lambda one: abs(one["x_mm"]) + abs(one["y_mm"]))
     assert center["force_sd_mN"] < rim["force_sd_mN"]
 

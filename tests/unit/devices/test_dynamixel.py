@@ -72,7 +72,9 @@ def test_connect_writes_settings_in_the_documented_order(bench):
     written = names_written(bench)
     first_on = [i for i, name in enumerate(written) if name == "Torque Enable"][1]
     before = ["Operating Mode", "Current Limit", "Goal Current", "Goal Position", "Bus Watchdog"]
-    places = [max(i for i, name in enumerate(written[:first_on]) if name == one) for one in before]
+    places = [
+        max(i for i, name in enumerate(written[:first_on]) if name == item) for item in before
+    ]
     assert places == sorted(places), dict(zip(before, places, strict=True))
     # and once more, should the torque have reset them
     assert set(before[2:]) <= set(written[first_on:])

@@ -125,8 +125,8 @@ def test_the_valve_board_regulates_by_its_own_sensor():
 def test_a_servo_with_a_higher_torque_constant_needs_less_current():
     servo = EmulatedServo(1, "XL330-M288")
     strong = EmulatedServo(1, "XL330-M288", torque_fraction=0.08)
-    for one in (servo, strong):
-        one.follow_load(0.0, 0.0, 0.2, 0.01)
+    for item in (servo, strong):
+        item.follow_load(0.0, 0.0, 0.2, 0.01)
     assert servo.current / strong.current == pytest.approx(1.08)
 
 

@@ -128,7 +128,7 @@ def test_values_outside_their_range_are_refused(name, good, bad):
         (value & ((1 << 8 * field.size) - 1)).to_bytes(field.size, "little")
         for value in (good, bad)
     ]
-    assert [servo.write(field.address, one) for one in data] == [0, 4]  # "Data Range Error"
+    assert [servo.write(field.address, item) for item in data] == [0, 4]  # "Data Range Error"
     assert servo.get(name) == int.from_bytes(data[0], "little")
 
 

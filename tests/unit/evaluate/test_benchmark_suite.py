@@ -61,15 +61,15 @@ def ran(kind, folder, task, outcomes, **changes):
 
 
 def test_compared_controllers_have_the_same_episodes(new, tmp_path):
-    words = ["held", "crushed", "held", "unsafe", "held"]
-    ran(new, tmp_path / "theirs", "pour", {OTHER: words})
+    arguments = ["held", "crushed", "held", "unsafe", "held"]
+    ran(new, tmp_path / "theirs", "pour", {OTHER: arguments})
     ran(new, tmp_path / "theirs", "shake", {OTHER: ["dropped"]})
     table = new.with_results(tmp_path / "theirs")
     table.write(tmp_path / "mine.json")
     known = benchmark_suite.load_suite(tmp_path / "mine.json")
     assert known.results["pour"][OTHER]["outcomes"] == "hchuh"
     assert known.results["pour"][OTHER]["margin"] == 3.5
-    assert [line["outcome"] for line in known.lines("pour", OTHER)] == words
+    assert [line["outcome"] for line in known.lines("pour", OTHER)] == arguments
     ran(new, tmp_path / "own", "pour", {MINE: ["held"] * 4})
     found = benchmark_suite.compare(known, tmp_path / "own")
     assert list(found["tasks"]) == ["pour"]  # the other was not run

@@ -258,7 +258,7 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     finally:
         host.kill()
         host.wait()
-    pids = [int(one.name) for one in workers.iterdir()]
+    pids = [int(item.name) for item in workers.iterdir()]
     assert len(pids) == 3
     assert wait_for(lambda: not any(map(is_running, pids)), 60)
     assert wait_for(lambda: not list(Path("/dev/shm").glob(f"*loky-{host.pid}-*")), 60)

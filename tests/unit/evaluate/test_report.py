@@ -53,25 +53,26 @@ def lines(count=300, controller="gentle", seed=0):
 
 def test_only_the_parameter_that_causes_failures_is_significant():
     found = against(lines())
-    by_name = {one["name"]: one for one in found}
+    by_name = {item["name"]: item for item in found}
     assert found[0]["name"] == "object.mass_percent" and [
-        one["name"] for one in found if one["stands_out"]
+        item["name"] for item in found if item["stands_out"]
     ] == [found[0]["name"]]
     heavy = found[0]["bins"]
     assert (
-        [one["success"] for one in heavy[:3]] == [1.0] * 3
+        [item["success"] for item in heavy[:3]] == [1.0] * 3
         and heavy[4]["success"] == 0
         and heavy[4]["from"] > 25
     )
-    assert sum(one["episodes"] for one in heavy) == 300
+    assert sum(item["episodes"] for item in heavy) == 300
     assert by_name["left.camera_tilt_deg.x"]["correlation"]["force_error_N"] == pytest.approx(1.0)
     # 2.6 sd of 300 pairs
     assert abs(by_name["left.noise_percent"]["correlation"]["force_error_N"]) < 0.15
     assert "left.camera_tilt_deg.y" not in by_name  # it did not vary
-    assert [one["value"] for one in by_name["random.shape"]["bins"]] == ["box", "egg"] and by_name[
-        "random.shape"
-    ]["p"] is None
-    assert [one["value"] for one in by_name["left.missing_markers"]["bins"]] == [0.0, 1.0, 2.0]
+    assert [item["value"] for item in by_name["random.shape"]["bins"]] == [
+        "box",
+        "egg",
+    ] and by_name["random.shape"]["p"] is None
+    assert [item["value"] for item in by_name["left.missing_markers"]["bins"]] == [0.0, 1.0, 2.0]
     table = lines()
     masses = np.array([flat(line)["object.mass_percent"] for line in table])
     held = np.array([line["outcome"] == "held" for line in table])
@@ -105,7 +106,7 @@ def test_random_failures_are_not_significant():
         table = lines(60, seed=seed)
         for line, held in zip(table, rng.permutation([True] * 50 + [False] * 10), strict=True):
             line["outcome"] = "held" if held else "dropped"
-        seen += any(one["stands_out"] for one in against(table))
+        seen += any(item["stands_out"] for item in against(table))
     assert seen <= 6  # 2 expected; 3 sd more
 
 
@@ -120,8 +121,10 @@ def test_both_controllers_have_equal_bins_without_errors():
     }
     summary = summarise([*first, *second])
     (a, b) = (summary["controllers"][name]["randomized"][0]["bins"] for name in ("gentle", "other"))
-    assert [one["from"] for one in a] == [one["from"] for one in b]
-    assert sum(one["episodes"] for one in b) == 299 and measures(second[0])["force_error_N"] is None
+    assert [item["from"] for item in a] == [item["from"] for item in b]
+    assert (
+        sum(item["episodes"] for item in b) == 299 and measures(second[0])["force_error_N"] is None
+    )
     assert summary["controllers"]["gentle"]["peak_to_break_ratio"]["max"] == pytest.approx(0.35)
     json.dumps(summary)
 

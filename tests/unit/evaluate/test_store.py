@@ -75,7 +75,7 @@ def test_a_damaged_line_does_not_affect_the_others(tmp_path, caplog):
     path.write_text(text)
     evaluation = store.read_manifest(tmp_path / "a")
     found = store.Store(tmp_path / "a", evaluation, resume=True).lines
-    assert [(one["episode"], one["controller"]) for one in found] == [
+    assert [(item["episode"], item["controller"]) for item in found] == [
         (k, name) for k in range(4) for name in ("gentle", "own") if (k, name) != (1, "gentle")
     ]
     assert "episodes.jsonl: 1 damaged lines are left out: line 3" in caplog.text
@@ -101,19 +101,19 @@ def test_shards_add_up_to_the_complete_result(tmp_path):
     parts = [write_part(tmp_path / str(k), k, 3) for k in (3, 1, 2)]
     summary = merge([*parts, parts[0]], tmp_path / "all")  # one twice: the same lines
     assert summary["episodes"] == 8 and "missing" not in summary
-    order = [(one["episode"], one["controller"]) for one in store.read_lines(tmp_path / "all")]
+    order = [(line["episode"], line["controller"]) for line in store.read_lines(tmp_path / "all")]
     assert order == [(k, name) for k in range(4) for name in ("gentle", "own")]
 
 
 def test_a_missing_shard_is_reported_and_only_joined_when_asked(tmp_path, capsys):
     parts = [str(write_part(tmp_path / str(k), k, 3)) for k in (1, 3)]
     out = str(tmp_path / "all")
-    words = ["evaluate", "--worst", "0", "--out", out, "--merge", *parts]
-    assert main(words) == 2
+    arguments = ["evaluate", "--worst", "0", "--out", out, "--merge", *parts]
+    assert main(arguments) == 2
     reported = capsys.readouterr().err
     assert "2 episodes are missing: gentle-000001, own-000001; --partial joins" in reported
     assert not (tmp_path / "all").exists()
-    assert main([*words, "--partial", "--json"]) == 0
+    assert main([*arguments, "--partial", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["missing"] == ["gentle-000001", "own-000001"] and summary["episodes"] == 6
     assert "2 episodes of this evaluation are missing" in (tmp_path / "all/summary.md").read_text()

@@ -56,7 +56,7 @@ def test_with_all_run_again_the_fraction_is_that_of_full_fidelity(tmp_path):
     low, high = exact_limits(16, 17)
     assert result["holds_interval"] == pytest.approx([(1 + 17 * low) / 20, (1 + 17 * high) / 20])
     differ = [
-        one["episode"] for key in ("of_failed", "of_held") for one in result[key]["differing"]
+        item["episode"] for key in ("of_failed", "of_held") for item in result[key]["differing"]
     ]
     assert differ == [11, 14]
 

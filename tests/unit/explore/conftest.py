@@ -9,6 +9,6 @@ from mjtactile.explore.shape_models import FAMILIES
 @pytest.fixture
 def two_families(monkeypatch):
     """Fit two of the six families; tests of the choice between families fit all of them."""
-    families = [one for one in FAMILIES if one.name in ("ellipsoid", "box")]
+    families = [family for family in FAMILIES if family.name in ("ellipsoid", "box")]
     assert len(families) == 2
     monkeypatch.setattr(surface_fusion, "FAMILIES", families)

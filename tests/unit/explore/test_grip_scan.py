@@ -34,7 +34,7 @@ def drive(squeeze, force_of, cycles=600, period=1 / 30):
     sent = []
     for cycle in range(cycles):
         force = force_of(command.opening)
-        touch = tuple(Touch(0.0, 0.0, one, 0.01, one > 0) for one in force)
+        touch = tuple(Touch(0.0, 0.0, item, 0.01, item > 0) for item in force)
         state = GripperState(command.opening, 0.0, 0.0, command.lift_height)
         command = squeeze.step(Observation(cycle * period, period, touch, state, (), command))
         sent.append((command, force))
@@ -57,7 +57,9 @@ def test_the_squeeze_stops_at_its_force_and_releases():
     assert sent[-1][0].lift_height == 0
     # each height is a separate grip; a gripper that moves up with the object ends one
     moments = [
-        GripCycle(tuple(Touch(0.0, 0.0, one, 0.01, one > 0) for one in force), command.opening, at)
+        GripCycle(
+            tuple(Touch(0.0, 0.0, item, 0.01, item > 0) for item in force), command.opening, at
+        )
         for command, force in sent
         for at in [command.lift_height]
     ]

@@ -38,8 +38,8 @@ def test_damaged_recordings_do_not_affect_the_others(pair, tmp_path, kind, capsy
     (source / "c" / "recording").mkdir(parents=True)
     (source / "c" / "recording" / "log.jsonl").write_text(lines[0])
     out = tmp_path / "out"
-    words = ["export", str(source), "--format", kind, "--out", str(out), "--json"]
-    assert main(words) == 0
+    arguments = ["export", str(source), "--format", kind, "--out", str(out), "--json"]
+    assert main(arguments) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["episodes"], result["frames"]) == (2, 9 + 9)
     (reason,) = result["left_out"]
@@ -51,12 +51,12 @@ def test_damaged_recordings_do_not_affect_the_others(pair, tmp_path, kind, capsy
 
 def test_a_failed_export_leaves_no_file(pair, tmp_path, capsys, monkeypatch):
     """So that the same command can be given again."""
-    words = ["export", str(pair), "--format", "mcap", "--out", str(tmp_path / "out")]
+    arguments = ["export", str(pair), "--format", "mcap", "--out", str(tmp_path / "out")]
     monkeypatch.setattr(mcap, "_attach", lambda *_: (_ for _ in ()).throw(OSError(28, "full")))
-    assert main(words) == 3
+    assert main(arguments) == 3
     assert not (tmp_path / "out").exists()
     monkeypatch.undo()
-    assert main(words) == 0 and len(list((tmp_path / "out").glob("*.mcap"))) == 2
+    assert main(arguments) == 0 and len(list((tmp_path / "out").glob("*.mcap"))) == 2
 
 
 # -- MCAP

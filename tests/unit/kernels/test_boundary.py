@@ -28,7 +28,7 @@ ARRAYS = [
 
 def values_of(declaration):
     """Arrays of the sizes that the declaration asks for, where every whole number is six."""
-    values = [6 if one.kind == "int64_t" else 1.0 for one in declaration.arguments]
+    values = [6 if argument.kind == "int64_t" else 1.0 for argument in declaration.arguments]
     sizes = declaration.sizes()(*values)
     return [
         np.zeros(size, _DTYPES[one.kind]) if one.shape else value
@@ -40,7 +40,7 @@ def values_of(declaration):
 def test_an_array_of_another_size_is_refused_by_name(name, array):
     declaration = declarations()[name]
     values = values_of(declaration)
-    place = [one.name for one in declaration.arguments].index(array)
+    place = [argument.name for argument in declaration.arguments].index(array)
     valid = values[place]
     for wrong in (valid[:-1], np.zeros(len(valid) + 1, valid.dtype)):
         values[place] = wrong
@@ -54,7 +54,7 @@ def test_an_array_of_another_size_is_refused_by_name(name, array):
 def test_only_optional_arguments_can_be_omitted(name, array):
     declaration = declarations()[name]
     values = values_of(declaration)
-    place = [one.name for one in declaration.arguments].index(array)
+    place = [argument.name for argument in declaration.arguments].index(array)
     if declaration.arguments[place].optional:
         return
     values[place] = None

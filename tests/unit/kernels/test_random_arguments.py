@@ -56,13 +56,15 @@ def test_a_kernel_stays_within_its_arrays(name, seed):
     rng = np.random.default_rng([seed, len(name)])
     for _ in range(10):
         numbers = {
-            one.name: int(rng.integers(1, 14)) if one.kind == "int64_t" else rng.normal(0, 3)
-            for one in declaration.arguments
-            if not one.shape
+            argument.name: int(rng.integers(1, 14))
+            if argument.kind == "int64_t"
+            else rng.normal(0, 3)
+            for argument in declaration.arguments
+            if not argument.shape
         }
         numbers |= {key: value for key, value in NO_CONTACTS.items() if key in numbers}
         numbers |= TOGETHER.get(name, lambda _: {})(numbers)
-        values = [numbers.get(one.name) for one in declaration.arguments]
+        values = [numbers.get(argument.name) for argument in declaration.arguments]
         sizes = declaration.sizes()(*values)
         if min(sizes) < 0:
             continue

@@ -21,7 +21,7 @@ def test_an_error_in_a_thread_is_raised_and_the_thread_continues():
     for seen in (first, second):
         with pytest.raises(ValueError, match="in another thread"):
             run_in_threads(3, partial(work, seen=seen))
-        alive.append({one for one in threading.enumerate() if one.name.startswith("membrane-")})
+        alive.append({item for item in threading.enumerate() if item.name.startswith("membrane-")})
     assert set(first) == set(second) == {0, 1, 2}
     assert first[0] is second[0] is threading.current_thread()
     assert len(alive[0]) >= 2 and alive[0] == alive[1]  # they stayed, and no other came

@@ -95,7 +95,7 @@ def test_heights_are_where_a_line_from_below_comes_into_the_body(quasistatic, ki
     step = 1e-7  # step in m; slopes come from differences of heights that are exact to 1e-12
     ahead = [lowest_inside(inside, rotation, places + step * axis) for axis in np.eye(2)]
     height = lowest_inside(inside, rotation, places)
-    slope = np.hypot(*(one - height for one in ahead)) / step
+    slope = np.hypot(*(item - height for item in ahead)) / step
     flat = (slope < 0.9) & np.isfinite(found)  # steeper rims count as ended
     assert flat.sum() > 10
     off = HALF_THICKNESS * np.sqrt(1 + slope[flat] ** 2)
@@ -282,7 +282,7 @@ def test_an_invalid_body_is_refused_in_one_line(quasistatic):
         quasistatic.obstacle("box", (1e-3, 1e-3, 1e-3), R_SO=(0, 0, 0, 0))
     with pytest.raises(InputError, match="no triangle"):
         quasistatic.obstacle("triangles", data=np.zeros((0, 3, 3)))
-    same = quasistatic.solve(one for one in [ball])  # anything that goes through bodies will do
+    same = quasistatic.solve(item for item in [ball])  # anything that goes through bodies will do
     assert same.force_normal == quasistatic.solve(ball).force_normal
     for grid in ("ab", (np.nan, 16), 21):
         with pytest.raises(
@@ -328,7 +328,7 @@ def test_a_solution_is_independent_of_old_memory_content():
         return found
 
     empty = ends(0.0)
-    assert len({type(one) for one in empty}) == 2  # some rest, some are refused
+    assert len({type(item) for item in empty}) == 2  # some rest, some are refused
     assert ends(np.nan) == empty
     assert ends(1e3) == empty
 

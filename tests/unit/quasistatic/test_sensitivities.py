@@ -85,7 +85,7 @@ def test_fast_derivatives_approximate_the_derivatives(name, seen):
     exact = membrane.derivatives(state, shape, numbers)
     steps = np.where(np.abs(numbers) < 1, 1e-7, 1e-4 * np.array(numbers))
     listed, by = changed_obstacles(shape, numbers, steps)
-    rows, pool = rows_and_pool([body for one in listed for body in one], membrane.grid)
+    rows, pool = rows_and_pool([body for item in listed for body in item], membrane.grid)
     by_z, by_force = approximate_sensitivities(
         membrane, state, rows.reshape(len(listed), -1, NUMBERS), pool, by
     )
@@ -114,7 +114,7 @@ def test_a_contact_s_stiffness_is_that_of_an_energy():
     along = stiffness[:3, :3]
     np.testing.assert_allclose(along, along.T, atol=1e-3 * along.max())  # error of the nodes
     force, torque = state.wrench[:3], state.wrench[3:]
-    pressing, leaning = (np.cross(one, spin).T for one in (force, torque))
+    pressing, leaning = (np.cross(item, spin).T for item in (force, torque))
     # terms from the positions of neighbours are not exactly those of a force
     np.testing.assert_allclose(off[:3, 3:], -pressing, atol=0.02 * abs(force).max())
     np.testing.assert_allclose(off[3:, 3:], -leaning, atol=0.1 * abs(torque).max())

@@ -115,7 +115,7 @@ def images_of(folder):
 def test_a_damaged_image_loses_only_its_cycle(tmp_path, damage):
     """A power cut leaves the last files empty; a bit may flip anywhere."""
     write_fake_recording(tmp_path, count=6)
-    path = next(one for one in images_of(tmp_path) if one.name.startswith("000003"))
+    path = next(item for item in images_of(tmp_path) if item.name.startswith("000003"))
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     content = {"empty": b"", "cut": bytes(data[:-20]), "flipped": bytes(data)}
@@ -263,5 +263,5 @@ def test_a_reference_of_another_number_of_fingers_is_left_out(tmp_path, complete
     without = without.replace('"gauge_pressure": [0.0]}', '"gauge_pressure": [0.0, 0.0]}')
     (tmp_path / "log.jsonl").write_text(without)
     found = load_recording(tmp_path)  # recorded without images: its references have none
-    assert [one.stage for one in found.references] == ["flat"]
+    assert [reference.stage for reference in found.references] == ["flat"]
     assert not any("fingers, the cycles" in problem for problem in found.problems)

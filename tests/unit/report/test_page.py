@@ -61,7 +61,7 @@ def test_the_page_agrees_with_the_recording(tmp_path):
     cycles = write_fake_recording(tmp_path, count=60)
     found, data = write(tmp_path, cycles, view=FakeScene(2))
     recording = load_recording(tmp_path)
-    forces = {one["name"]: one for one in data["plots"][0]["series"]}
+    forces = {item["name"]: item for item in data["plots"][0]["series"]}
     assert list(forces) == [
         "left estimated",
         "left ground truth",

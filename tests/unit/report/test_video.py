@@ -76,9 +76,9 @@ def test_small_videos_can_be_written(tmp_path, recording, suffix):
 
 def test_only_an_own_video_is_overwritten(tmp_path, recording, capsys):
     quasistatic = tmp_path / "film.mp4"
-    words = ["video", str(recording.folder), "--seconds", "0.1", "--out"]
-    assert main([*words, str(quasistatic)]) == 0
-    assert main([*words, str(quasistatic)]) == 0  # its own
+    arguments = ["video", str(recording.folder), "--seconds", "0.1", "--out"]
+    assert main([*arguments, str(quasistatic)]) == 0
+    assert main([*arguments, str(quasistatic)]) == 0  # its own
     with av.open(str(tmp_path / "theirs.mp4"), "w") as file:
         stream = file.add_stream("libx264", rate=30)
         stream.width = stream.height = 64
@@ -89,7 +89,7 @@ def test_only_an_own_video_is_overwritten(tmp_path, recording, capsys):
     for name in ("theirs.mp4", "notes.mp4", "theirs.gif"):
         before = (tmp_path / name).read_bytes()
         capsys.readouterr()
-        assert main([*words, str(tmp_path / name)]) == 2
+        assert main([*arguments, str(tmp_path / name)]) == 2
         assert f"{name}: --out: the path exists already" in capsys.readouterr().err
         assert main(["grasp", "--video", str(tmp_path / name)]) == 2  # before anything runs
         assert f"{name}: --video: the path exists already" in capsys.readouterr().err

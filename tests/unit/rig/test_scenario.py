@@ -248,8 +248,8 @@ def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.py").write_text(QUICK)
     rig = rig_with(tmp_path / "rig.toml", left="paper16")
-    words = ["--rig", rig, "--controller", "quick.py", "--out", "run", "--json"]
-    code = main(["grasp", *words])
+    arguments = ["--rig", rig, "--controller", "quick.py", "--out", "run", "--json"]
+    code = main(["grasp", *arguments])
     summary = json.loads(capsys.readouterr().out)
     assert code == 1  # it only looked
     assert summary["sensor"] == "dense, paper16"
@@ -258,8 +258,8 @@ def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     recording = mjtactile.load_recording("run")
     assert recording.header["scenario"] == summary["scenario"]
     # and the same run again, from its result
-    words = ["--controller", "quick.py", "--out", "again", "--json"]
-    assert main(["grasp", "--scenario", "run/summary.json", *words]) == 1
+    arguments = ["--controller", "quick.py", "--out", "again", "--json"]
+    assert main(["grasp", "--scenario", "run/summary.json", *arguments]) == 1
     again = json.loads(capsys.readouterr().out)
     assert again["scenario"] == summary["scenario"]
     first = recording.column("force_normal")
@@ -270,9 +270,9 @@ def test_options_override_the_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.py").write_text(QUICK)
     (tmp_path / "mine.toml").write_text('object = "vial"\ncontroller = "quick.py"\nseed = 3\n')
-    words = ["--sensor", "paper16", "--seed", "4", "--out", "run", "--json"]
-    words += ["--controller", "quick.py"]
-    assert main(["grasp", "--scenario", "mine.toml", *words]) == 1
+    arguments = ["--sensor", "paper16", "--seed", "4", "--out", "run", "--json"]
+    arguments += ["--controller", "quick.py"]
+    assert main(["grasp", "--scenario", "mine.toml", *arguments]) == 1
     reported = json.loads(capsys.readouterr().out)["scenario"]
     assert (reported["object"], reported["seed"], reported["sensor"]) == ("vial", 4, "paper16")
 
@@ -319,9 +319,9 @@ def test_merged_results_do_not_run_their_own_program(tmp_path, monkeypatch, caps
     """Results of another person name a program: their report is written, without its images."""
     monkeypatch.chdir(tmp_path)
     Path("theirs.py").write_text("from pathlib import Path\n" + QUICK)
-    words = ["--episodes", "1", "--objects", "egg", "--effects=-images,-mesh,-pipeline"]
+    arguments = ["--episodes", "1", "--objects", "egg", "--effects=-images,-mesh,-pipeline"]
     names = ["--controller", "theirs.py", "--workers", "1", "--worst", "0"]
-    assert main(["evaluate", *words, *names, "--out", "first"]) == 0
+    assert main(["evaluate", *arguments, *names, "--out", "first"]) == 0
     Path("theirs.py").write_text("from pathlib import Path\nPath('it_ran').touch()\n" + QUICK)
     assert main(["evaluate", "--merge", "first", "--out", "second"]) == 0
     assert "'theirs.py' is not run" in capsys.readouterr().err

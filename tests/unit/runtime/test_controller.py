@@ -33,7 +33,7 @@ def test_a_dataclass_with_deferred_annotations_in_files_of_one_name(tmp_path):
         path = tmp_path / name / "mine.py"
         path.write_text(DATACLASS.replace("NAME", name))
         loaded.append(load_controller(path))
-    names = [one.function.__globals__["Plan"](force=1.0).kind for one in loaded]
+    names = [item.function.__globals__["Plan"](force=1.0).kind for item in loaded]
     assert names == ["a", "b"]
     assert loaded[0].function.__module__ != loaded[1].function.__module__
 

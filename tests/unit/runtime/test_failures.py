@@ -26,7 +26,7 @@ from mjtactile.runtime import control_loop
 from mjtactile.runtime.controller import Controller
 from mjtactile.runtime.cycle import ControlCycle
 from mjtactile.runtime.supervisor import Supervisor
-from tests.stub_rig import PERCEPTION_STUB, OK, PERIOD, World
+from tests.stub_rig import OK, PERCEPTION_STUB, PERIOD, World
 
 
 @pytest.mark.parametrize(

@@ -120,7 +120,7 @@ def loaded(*down: float) -> tuple[Touch, ...]:
     """Fingers that carry so many newtons along their -y axes with 1 N of grip."""
     wrenches = [np.array([0.0, -force, -1.0, 0.0, 0.0, 0.0]) for force in down]
     tractions = [SimpleNamespace(wrench=wrench, wrench_cov=np.eye(6)) for wrench in wrenches]
-    return tuple(Touch(0.0, 0.0, 1.0, 0.01, True, traction=one) for one in tractions)  # type: ignore
+    return tuple(Touch(0.0, 0.0, 1.0, 0.01, True, traction=traction) for traction in tractions)  # type: ignore
 
 
 @pytest.mark.parametrize(

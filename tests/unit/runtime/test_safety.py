@@ -317,7 +317,7 @@ def test_a_gripper_with_a_low_force_limit_can_open(limit, opens_with):
 
 def test_the_force_is_not_raised_while_the_goal_still_closes_the_jaws():
     _, sent = retreat(lambda goal: LAST.opening + 0.005, last=replace(LAST, force_limit=1.0))
-    assert {one.force_limit for one in sent if one.opening < LAST.opening + 0.005} == {1.0}
+    assert {item.force_limit for item in sent if item.opening < LAST.opening + 0.005} == {1.0}
 
 
 def test_time_of_the_retreat_includes_the_height():
@@ -326,7 +326,7 @@ def test_time_of_the_retreat_includes_the_height():
     5 s are 0.15 m: from a greater height the held object was dropped.
     """
     _, sent = retreat_from(0.4)
-    opened = next(one for one in sent if one.opening > LAST.opening)
+    opened = next(item for item in sent if item.opening > LAST.opening)
     assert opened.lift_height < 1e-3
 
 

@@ -85,7 +85,7 @@ def test_shift_rotation_and_pressure(membrane):
     )
     rotation = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     shift = np.array([12e-3, -7e-3, 60e-3])
-    moved = [one @ rotation.T + shift for one in given]
+    moved = [item @ rotation.T + shift for item in given]
     outline = corners @ rotation[:2, :2].T + shift[:2]
     found = estimate_force_from_surface(
         moved[0], 2040.0, outline, RestSurface(moved[1], 2000.0), smoothing=SMOOTHING

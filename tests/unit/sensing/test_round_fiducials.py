@@ -59,7 +59,7 @@ def touches(path, change=lambda image: image):
     sensor.measure_flat_reference(images.flat)
     sensor.measure_rest_reference(images.rest, membrane_images.GAUGE)
     shown = (images.rest[0], images.pressed[1])
-    return [[sensor.perceive(change(one), one.time) for _ in range(2)][-1] for one in shown]
+    return [[sensor.perceive(change(item), item.time) for _ in range(2)][-1] for item in shown]
 
 
 @pytest.mark.slow

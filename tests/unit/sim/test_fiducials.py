@@ -66,7 +66,7 @@ def test_fiducials_change_only_their_own_pixels():
     plain = load_sensor("dense")
     design = load_sensor("dense_fiducials")
     ours, theirs = (
-        Renderer(one).irradiance_image(*flat(one), effects=Effects()) for one in (design, plain)
+        Renderer(item).irradiance_image(*flat(item), effects=Effects()) for item in (design, plain)
     )
     camera = optics.Camera.from_design(plain.camera, plain.glass)
     half = [plain.frame.length / 2, plain.frame.width / 2, 0.0]

@@ -135,11 +135,11 @@ def test_softer_rubber_is_named(tmp_path):
     soft = replace(dense, membrane=replace(dense.membrane, young=0.75 * dense.membrane.young))
     causes = ("leak", "stiffness", "pre_stretch", "gauge")
     shadow, _ = shadow_of(staged(tmp_path, soft, seconds=0.8), causes=causes)
-    names = {named(shadow).cause.name, *(one.cause.name for one in shadow.alike)}
+    names = {named(shadow).cause.name, *(item.cause.name for item in shadow.alike)}
     # at one pressure pre-stretch explains it as well (docs/how-to/identify.md), and this is
     # reported
     assert names == {"stiffness", "pre_stretch"}
-    found = {one.cause.name: one.amounts[0] for one in (named(shadow), *shadow.alike)}
+    found = {item.cause.name: item.amounts[0] for item in (named(shadow), *shadow.alike)}
     assert found["stiffness"] == pytest.approx(-0.25, abs=0.05)
     assert shadow.explains > 0.9
 
