@@ -1,4 +1,4 @@
-"""Methods of the public classes that are called out of order: one named error each, or no effect."""
+"""Tests of methods of public classes called out of order: one named error each, or no effect."""
 
 import mujoco
 import numpy as np

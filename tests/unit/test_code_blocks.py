@@ -75,7 +75,7 @@ SHELL = {
     ("docs/tutorials/controller.md", 0),
     ("docs/tutorials/controller.md", 1),
 }
-"""In their order; a page's blocks share a folder."""
+"""Code blocks in their order; blocks of a page share a folder."""
 TOOLS = ("sed", "pip", "make", "python", "pytest", "ssh")
 """Programs other than mjtactile that a line may call."""
 
@@ -145,7 +145,7 @@ def test_python_blocks_parse(page, number, text):
 
 
 def options_of(words):
-    """Every option that the command has which `words` begin with."""
+    """Return every option of the command at the start of `words`."""
     parser = build_parser(words[0])
     found = set()
     while parser is not None:

@@ -14,7 +14,7 @@ import mjtactile
 
 
 def section(item, title):
-    """The names that stand in a section of a docstring, () where it has none."""
+    """Return the names in a section of a docstring, () without a section."""
     text = inspect.getdoc(item) or ""
     found = re.search(rf"(?ms)^{title}:\n(.*?)(?=^\S|\Z)", text)
     return set(re.findall(r"(?m)^    \*{0,2}(\w+):", found.group(1))) if found else ()

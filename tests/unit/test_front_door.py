@@ -66,7 +66,7 @@ print("mujoco" in sys.modules)
 
 
 def test_a_grasp_imports_no_scipy():
-    """Its linear algebra alone takes as long as numpy, MuJoCo and all of ours."""
+    """Importing scipy's linear algebra takes as long as numpy, MuJoCo and the package."""
     loaded = run_python("""
 import sys
 import mjtactile.commands.grasp, mjtactile.report.summary, mjtactile.sim.camera, mjtactile.runtime.grasp_scoring

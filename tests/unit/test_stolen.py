@@ -1,4 +1,4 @@
-"""Tests of the result of a timing test on a computer that stands still."""
+"""Tests of the result of a timing test on a computer whose processors are withheld."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The benchmark's table is made from rows of any outcome, and finds its place in a document."""
+"""Tests of benchmark tables: rows of every outcome, and insertion between the markers of a page."""
 
 import importlib.util
 import math

@@ -1,4 +1,4 @@
-"""A first day that is broken off goes on from its last grasp and its last recording."""
+"""Tests that an interrupted commissioning benchmark resumes after its last grasp and recording."""
 
 import numpy as np
 import pytest

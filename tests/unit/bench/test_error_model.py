@@ -1,4 +1,4 @@
-"""Tests of the error model fitted to a chain: synthetic rows of known spread."""
+"""Tests of the error model fitted to a pipeline: synthetic rows of known spread."""
 
 import numpy as np
 import pytest

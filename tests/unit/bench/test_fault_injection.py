@@ -1,4 +1,4 @@
-"""Tests that the table of attacks matches the tests and names existing ones."""
+"""Tests that the table of injected faults names existing tests."""
 
 import xml.etree.ElementTree as ET
 

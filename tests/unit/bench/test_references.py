@@ -55,8 +55,8 @@ def test_a_folder_without_cases(tmp_path):
 
 
 def test_an_indenter_of_several_geoms_presses_with_all(tmp_path):
-    """Two balls that touch together press harder than one at the same depth, and not twice as hard:
-    they share a dent."""
+    """The force of two balls is larger than that of one at the same depth, and less than twice as
+    large, since their indentations overlap."""
     press = BULGE.replace("[bulge]", "[press]").replace(
         "height = [[1.0, 2.45]]", 'indenter = "balls.xml"\nforce = [[1.0, 0.1]]\nestimate = false'
     )

@@ -12,8 +12,8 @@ RATE = 30.0
 
 
 def frames(speed, detected_at, used=0.5, slides=True):
-    """A second that holds with `used` of the friction, and one that slides at `speed` m/s;
-    "slipping" from `detected_at` on."""
+    """Return one second of hold at the utilization `used`, then one second of sliding at `speed`,
+    m/s; "slipping" from `detected_at` on."""
     result = []
     for time in np.arange(60) / RATE:
         slid = max(speed * (time - 1.0), 0.0) if slides else 0.0

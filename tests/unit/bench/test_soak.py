@@ -30,7 +30,9 @@ def test_a_soak_section_injects_a_fault_and_reads_its_recording(tmp_path):
         found = bench.run(0)
     finally:
         bench.end()
-    assert found["injected"] and found["safe"] and found["reaction_s"] < 0.2, found  # asked: 200 ms
+    assert found["injected"] and found["safe"] and found["reaction_s"] < 0.2, (
+        found
+    )  # required: 200 ms
     assert 4.0 < found["seconds"] < 10.1 and found["grips"] >= 1 and found["recording"] == ""
     assert list(tmp_path.iterdir()) == []  # only failed runs are kept
 

@@ -1,5 +1,5 @@
-"""`calibrate camera` on pictures of a board that are drawn with OpenCV's own camera model, and
-through a live stream."""
+"""Tests of `calibrate camera` on images of a board rendered with OpenCV's camera model, and through
+a live stream."""
 
 import json
 import threading
@@ -21,7 +21,7 @@ SIZE = (640, 480)
 K = np.array([[610.0, 0, 325.3], [0, 606.0, 236.1], [0, 0, 1]])
 DISTORTION = np.array([-0.21, 0.09, 8e-4, -6e-4, 0.0])
 BOARD = Board(9, 7, 5e-3, 3.75e-3)
-PIXELS = 60  # of the drawn board a square
+PIXELS = 60  # px per square of the rendered board
 
 
 def rays():
@@ -38,8 +38,8 @@ RAYS = rays()
 
 
 def image(rotation, shift, seed, noise=2.0):
-    """The board at a pose, seen through K and DISTORTION: each pixel's ray meets the board's plane
-    there."""
+    """Render the board at a pose through K and DISTORTION: each pixel's ray is intersected with the
+    board's plane."""
     R = cv2.Rodrigues(np.asarray(rotation, float))[0]
     inverse = np.linalg.inv(np.column_stack([R[:, 0], R[:, 1], shift]))
     ray = np.concatenate([RAYS, np.ones((*RAYS.shape[:2], 1))], axis=2) @ inverse.T
@@ -176,7 +176,7 @@ def test_live_views_are_stored_when_the_board_rests_at_a_new_pose():
     views = collect_views(
         ((str(i), gray) for i, gray in enumerate(frames)), finder, 10, reported.append
     )
-    # moving: no; resting: once; back at an old place: no
+    # moving: no; resting: once; again at an earlier pose: no
     assert [view.name for view in views] == ["2", "5"]
     assert len(reported) == 2
 

@@ -1,5 +1,5 @@
-"""A camera from pictures of circles on a grid: its own intrinsics come back, k3 included, whatever
-is missing of the board."""
+"""Tests of camera calibration by circles on a grid: intrinsics including k3 are recovered with
+parts of the board missing."""
 
 import json
 from dataclasses import replace
@@ -27,7 +27,7 @@ FINDER = CircleFinder(PITCH, RADIUS)
 
 
 def board(rotation, shift, rows=9, columns=12):
-    """Circles (N) of a board at a pose, by their place on the grid."""
+    """Return the circles (N) of a board at a pose, by their grid index."""
     R = cv2.Rodrigues(np.asarray(rotation, float))[0]
     places = [(i, j) for j in range(rows) for i in range(columns)]
     center = np.array([columns - 1, rows - 1, 0]) / 2
@@ -78,15 +78,15 @@ def test_intrinsics_and_k3_are_recovered_from_ellipse_centers():
         and fit.lens.coefficients[4] > 4 * fit.sd[8]
     )
     assert fit.rms < 0.04  # 0.028 is the noise of both coordinates
-    # ellipses' centres taken for the circles'
+    # centers of the ellipses used as those of the circles
     plain = calibrate_camera(FINDER, views, SIZE, LensFit(k3=True))
     assert (np.abs(plain.K[[0, 1], [0, 1]] - truth[:2]) > 10 * plain.sd[:2]).all()
 
 
 @pytest.mark.parametrize("model", ["rational_polynomial", "equidistant"])
 def test_other_lens_models_are_recovered(model):
-    """Projected within 0.1 px of the truth wherever circles were: 1000 points at 0.02 px. The
-    coefficients of a rational polynomial are not unique, their projection is."""
+    """The projection is within 0.1 px of the ground truth in the area of the circles: 1000 points
+    at 0.02 px. The coefficients of a rational polynomial are not unique, their projection is."""
     truth = replace(CAMERAS[model], fx=500.0, fy=505.0)
     views = [exact_view(pose, truth, seed=k) for k, pose in enumerate(poses(12))]
     fit = calibrate_from_circles(FINDER, views, SIZE, LensFit(model))

@@ -1,5 +1,5 @@
-"""`calibrate force` on pictures of a simulated press, whose drive is the load cell: sensing sees
-the pictures alone."""
+"""Tests of `calibrate force` on images of simulated indentations. The drive is the load cell;
+sensing receives only the images."""
 
 import json
 
@@ -19,7 +19,7 @@ DEPTHS = (1e-3, 1.6e-3, 2.2e-3, 2.8e-3)
 
 @pytest.fixture(scope="module")
 def press(tmp_path_factory):
-    """A folder with flat/, rest/ and loads (two pictures each), and the loads in N."""
+    """Provide a folder with flat/, rest/ and loads (two images each), and the loads, N."""
     folder = tmp_path_factory.mktemp("press")
     world = PressWorld(DESIGN, Indenter("cylinder", 5e-3))
     renderer = Renderer(DESIGN, seed=2)

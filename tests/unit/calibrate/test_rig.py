@@ -75,8 +75,8 @@ def test_a_bad_opening_is_refused_with_its_reason(changes, word):
 
 
 def test_lines_for_the_rig_file_reproduce_the_caliper_values():
-    """With the new lines a servo's position means the opening that the caliper showed (play
-    aside)."""
+    """With the new lines a servo position corresponds to the opening measured by the caliper,
+    without backlash."""
     reported, direction, measured = readings(noise=0.0)
     fit = calibrate_opening(reported, direction, measured)
     geometry = JawGeometry(GRIPPER, "test")
@@ -139,8 +139,8 @@ def test_recorded_readings_through_the_command(tmp_path, capsys):
 
 
 class Mechanism:
-    """Jaws on two pinions with play between servo and jaw, and a springy block between them, moved
-    by a thread."""
+    """Jaws on two pinions with backlash between servo and jaw, and an elastic block between the
+    jaws, moved by a thread."""
 
     def __init__(self, servos, *, play=0.0, block=0.0, stiffness=4e3, torque_fraction=1.0):
         self.servos = servos
@@ -319,8 +319,7 @@ def test_a_valve_on_a_pty(short_waits):
             boards[0].close()
         passed = scaled_clock.monotonic() - start
     assert fit.offset == pytest.approx(0, abs=5)  # 5 Pa of noise, some 20 samples
-    # The board's lag of 50 ms gives 0.11 s; its clock stands still while a busy computer does not
-    # let it tick.
+    # The board's lag of 50 ms gives 0.11 s; its clock stops while a busy computer does not run it.
     assert 0.05 < fit.rise_time < 0.6
     assert 2 < fit.leak < 25, passed  # 20 Pa/s; a busy computer ticks less often
     assert any("loses" in reason for reason in fit.reasons)

@@ -87,7 +87,7 @@ def test_a_rig_is_created_from_ports_and_streams(tmp_path, emulator, monkeypatch
     ]
     assert {valve.port for valve in rig.valves} == {ends["valve"]}
     assert rig.gripper.force_max == 4.0 and rig.gripper.opening[1] == pytest.approx(0.12)
-    # refused, and asked again
+    # refused and requested again
     assert any("-5" in line and "opening_max_mm" in line for line in reported)
     assert "# on each finger" in path.read_text()  # comments stay
 
@@ -106,8 +106,8 @@ def test_removing_a_value_removes_its_line():
 
 
 def test_another_servo_model_sets_its_torque_and_gain(tmp_path, monkeypatch):
-    """1.78 N m/A of an XM430 in the lines of an XL330, which has 0.354, made forces five times too
-    large."""
+    """The torque constant of an XM430, 1.78 N m/A, in the lines of an XL330, 0.354 N m/A, makes
+    forces five times too large."""
     found = SerialPort("/dev/tty9", "/dev/tty9", "", "", 57600, {1: "XL330-M288", 2: "XM430-W350"})
     monkeypatch.setattr("mjtactile.calibrate.rig_wizard.serial_ports", lambda *_, **__: [found])
     path = tmp_path / "mine.toml"

@@ -71,8 +71,8 @@ def test_a_held_object_is_kept():
 
 
 def test_jaws_blocked_by_an_unsensed_object_stop():
-    """A fallen strawberry between the frames: until now the approach went on until the time was
-    over."""
+    """A fallen strawberry between the frames blocks the jaws; the approach ends before the time
+    limit."""
     command = Command(0.08, 4.0, 0.0, "approach")
     empty = (touch(0.0),) * 2
     for i in range(120):  # 4 s at 25 mm/s would be 100 mm
@@ -83,14 +83,14 @@ def test_jaws_blocked_by_an_unsensed_object_stop():
         if command.phase == "abort":
             break
     assert command.phase == "abort" and command.opening == pytest.approx(0.0354)
-    # jaws that follow go on
+    # jaws that follow continue
     assert run(Command(0.08, 4.0, 0.0, "approach"), empty, 60).phase == "approach"
 
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless", "adaptive"])
 @pytest.mark.parametrize("minimum", [0.0, 0.022])
 def test_jaws_at_their_end_stop_hold_no_object(controller, minimum):
-    """The three-fingered hand closes to 22 mm: until now the approach waited there for a minute."""
+    """The three-fingered gripper closes to 22 mm; the approach ends there before the time limit."""
     its_step = load_controller(controller).step
     limits = CommandLimits(opening=(minimum, 0.1), speed=0.1, force=5.0, lift=(0.0, 0.1))
     command = Command(0.03, 0.0)
@@ -138,8 +138,8 @@ def test_a_short_loss_of_contact_or_image_is_not_a_lost_object():
 
 @pytest.mark.parametrize("controller", ["gentle", "slip_aware", "touchless"])
 def test_an_object_that_reaches_the_table_early_is_released(controller):
-    """A strawberry that tilted in the grip held the hand 3 mm up: until now it was pressed down
-    until the time was over."""
+    """A strawberry tilted in the grip stops the gripper 3 mm above its goal; it is released and not
+    pressed down."""
     its_step = load_controller(controller).step
     command = Command(0.04, 4.0, 0.04, "lower")
     held = (touch(0.6),) * 2

@@ -1,5 +1,5 @@
-"""A policy file is a controller: the numpy archive's network by hand, and the same as ONNX where
-there is onnxruntime."""
+"""Tests of policy files as controllers: the network of a numpy archive against an explicit
+evaluation, and against ONNX if onnxruntime is installed."""
 
 import importlib.util
 

@@ -49,7 +49,7 @@ def cyclic() -> dict:
 def test_numbers_texts_lists_and_tables_are_kept(value, kept):
     found, left_out = plain({"name": value})
     assert json.loads(json.dumps(found)) == {"name": kept} and not left_out
-    assert type(found["name"]) is type(kept)  # no Enum: it would not be known elsewhere
+    assert type(found["name"]) is type(kept)  # no Enum: its class is unknown in other programs
 
 
 @pytest.mark.parametrize(

@@ -144,7 +144,7 @@ def test_missing_and_unknown_files_are_named(tmp_path):
 
 
 def test_more_markers_than_sensing_has_memory_for_are_refused():
-    """A legal file with 200 x 200 markers asked for 12.7 GiB at once."""
+    """A valid file with 200 x 200 markers would allocate 12.7 GiB."""
     markers = replace(load_sensor("dense").markers, rows=200, columns=200)
     with pytest.raises(InputError, match=r"markers\.rows: 200 x 200 .* 12\.7 GiB") as caught:
         replace(load_sensor("dense"), markers=markers).require_markers_that_fit()

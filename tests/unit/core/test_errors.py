@@ -1,4 +1,4 @@
-"""Errors are raised in one process and caught in another."""
+"""Tests of errors that are raised in one process and caught in another."""
 
 import pickle
 

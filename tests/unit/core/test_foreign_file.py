@@ -1,4 +1,5 @@
-"""Files from anywhere: limits, pipes, devices and impossible names end in one line."""
+"""Tests of files of any origin: limits, pipes, devices and impossible names give one-line
+errors."""
 
 import os
 from pathlib import Path

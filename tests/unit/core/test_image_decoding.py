@@ -1,5 +1,5 @@
-"""Image files from anywhere: whole ones are read as OpenCV writes them, others are refused without
-a word on stderr."""
+"""Tests of image files of any origin: complete files are read as OpenCV writes them, others are
+refused without output on stderr."""
 
 import struct
 import zlib

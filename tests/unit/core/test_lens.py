@@ -1,4 +1,4 @@
-"""Lens models against OpenCV, which shares no code, and against numerical derivatives."""
+"""Tests of lens models against OpenCV, which shares no code, and against numerical derivatives."""
 
 from dataclasses import replace
 

@@ -97,7 +97,8 @@ def test_an_invalid_request_is_refused(gate, lines):
 
 
 def test_an_endless_request_is_cut_off(gate):
-    """The head of a request is limited: the gate closes, and serves the next one."""
+    """The head of a request is limited: the gate closes the connection, and accepts the next
+    request."""
     with socket.create_connection(("127.0.0.1", gate.port), timeout=10) as end:
         end.sendall(b"GET / HTTP/1.1\r\n")
         try:

@@ -79,7 +79,8 @@ def test_glass_shift_is_the_depth_error_of_a_model_without_glass():
     shift = optics.glass_shift(BOTH, rays)
     apparent = p - np.column_stack([np.zeros((len(p), 2)), shift])
     np.testing.assert_allclose(geometry.unit(apparent), rays, atol=1e-10)
-    # by hand, 2 mm of n = 1.52: 0.684 mm on the axis, t (1 - 1/n), and 0.801 mm at 31 degrees
+    # computed by hand, 2 mm of n = 1.52: 0.684 mm on the axis, t (1 - 1/n), and 0.801 mm at 31
+    # degrees
     angle = np.deg2rad([0.0, 31.0])
     shift = optics.glass_shift(GLASS, np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)]))
     assert shift[0] == pytest.approx(2e-3 * (1 - 1 / 1.52), rel=1e-14)

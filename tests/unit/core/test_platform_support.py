@@ -88,7 +88,7 @@ def test_a_process_end_has_a_descriptor_where_supported(monkeypatch):
 
 
 def test_a_child_ends_with_its_parent_where_its_end_is_not_reported():
-    """It looks itself, once a second."""
+    """The child checks for its parent once a second."""
     code = f"""if True:
         import os, subprocess, sys
         from {process.__name__} import _PARENT
@@ -102,7 +102,7 @@ def test_a_child_ends_with_its_parent_where_its_end_is_not_reported():
         os.write(1, b"here\\n")
         sys.stdin.readline()
     """
-    read_end, write_end = os.pipe()  # the child holds its writing end as long as it lives
+    read_end, write_end = os.pipe()  # the child keeps its writing end open until its end
     os.set_inheritable(write_end, True)
     parent = subprocess.Popen(
         [sys.executable, "-c", code.replace("env=", f"pass_fds=[{write_end}], env=")],

@@ -21,7 +21,7 @@ ONE = [(np.zeros((3, INPUTS)), np.zeros(3))]
     ("name", "between"), [("tanh", np.tanh), ("relu", lambda x: np.maximum(x, 0))]
 )
 def test_a_policy_is_the_network_behind_the_scales(tmp_path, name, between):
-    """Scales by hand against those of the file; both are sums of the same products."""
+    """Explicit scaling equals that of the file; both are sums of the same products."""
     path = tmp_path / "policy.npz"
     center = RNG.normal(size=INPUTS)
     scale = np.where(np.arange(INPUTS) == 4, np.inf, 2.0)  # one entry is not used
@@ -150,7 +150,7 @@ BOMBS = {
 
 @pytest.mark.parametrize("kind", BOMBS)
 def test_an_archive_that_would_unpack_without_bounds_is_refused(tmp_path, kind):
-    """Sizes count before anything is unpacked, and each defect is one line."""
+    """Sizes are checked before unpacking, and each defect is reported in one line."""
     path = tmp_path / "policy.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in BOMBS[kind]().items():

@@ -46,7 +46,7 @@ def test_an_invalid_value_is_reported_in_one_line(section, words):
 
 
 def test_a_file_without_relaxation_keeps_its_fingerprint():
-    """Calibrations made before there was such a section belong to the same files still."""
+    """Calibrations older than this section remain valid for the same files."""
     design = load_sensor("dense")
     assert fingerprint(design) == fingerprint(replace(design, relaxation=None))
     relaxing = replace(design, relaxation=Relaxation(((0.05, 1.0),)))

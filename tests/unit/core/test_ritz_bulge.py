@@ -1,5 +1,5 @@
-"""Heights of inflated sheets by Ritz's method, against closed forms and against sensing's splines,
-which share nothing with it but the rubber's constants."""
+"""Tests of heights of inflated membranes by Ritz's method, against closed forms and against the
+splines of sensing, which share only the rubber constants."""
 
 from dataclasses import replace
 

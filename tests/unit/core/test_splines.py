@@ -1,4 +1,4 @@
-"""Splines that are ours, since scipy's take a tenth of a second to import, against scipy's."""
+"""Tests of the package's splines against those of scipy, whose import takes 0.1 s."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
-"""Signals that ask a process to end: raised while nothing is connected, noted while something is.
-By signals to this process."""
+"""Tests of terminating signals, sent to this process: raised without a connected rig, stored with a
+connected rig."""
 
 import signal
 import threading
@@ -23,7 +23,7 @@ def test_without_a_handler_the_first_signal_raises_and_its_echo_does_not(number)
     with listening() as stop:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
-        signal.raise_signal(number)  # a moment later, while the first one is handled
+        signal.raise_signal(number)  # shortly after, while the first signal is handled
         assert stop.asked and not stop.at_once
 
 
@@ -62,7 +62,7 @@ def test_repeated_sigxcpu_does_not_count_as_a_second_signal(monkeypatch):
 def test_every_terminating_signal_is_handled():
     """All signals that end the process are handled, except those in the list.
 
-    These cannot be caught, or a program fault raises them, or they end nothing.
+    These cannot be caught, or a program fault raises them, or they do not end the process.
     """
     names = "KILL STOP ILL TRAP BUS FPE SEGV SYS PIPE XFSZ CHLD CONT TSTP TTIN TTOU URG WINCH"
     others = {getattr(signal, f"SIG{name}") for name in names.split()}

@@ -33,7 +33,7 @@ def test_shipped_tasks_are_read_and_have_a_description(name):
 def test_lift_is_unchanged_and_its_file_has_every_field():
     """The task lift is unchanged and its file shows every field.
 
-    Every earlier result was of this task: nothing is sampled, and no disturbance occurs.
+    Every earlier result was of this task: no parameter is sampled, and no disturbance occurs.
     """
     task = load_task("lift")
     assert task.is_plain and task.goal.task_goal() == TaskGoal() and task.time_limit == 60.0
@@ -60,7 +60,7 @@ def test_samples_are_within_their_range_in_the_units_of_the_file():
         assert sampled.mass == pytest.approx(1e-3 * sampled.values["task.mass_g"], rel=1e-5)
         low, high = table["disturbance"][0]["final_mass_g"]
         assert low <= sampled.values["task.fill1.final_mass_g"] <= high
-        # nothing that the fingers cannot hold: heaviest of both, two fingers
+        # loads are within the grip force: largest of both, two fingers
         heaviest = max(sampled.mass, sampled.events[0].values["mass"])
         assert (
             heaviest * 9.81 / (2 * sampled.friction)

@@ -1,4 +1,4 @@
-"""A file is read or refused in one line, whatever its bytes are; a field is read exactly or
+"""Tests of TOML files: any file is read or refused in one line; a field is read exactly or
 named."""
 
 import math

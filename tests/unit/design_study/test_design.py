@@ -51,7 +51,7 @@ def test_marker_covariance_is_that_of_a_circle_of_its_size(paper16):
     noisy = sd(with_camera(noise_dn=4.0)) / own
     np.testing.assert_allclose(noisy, 2.0, rtol=0.02)
     longer = sd(sensor_file_edit.scaled_lens(design, 1.3)) / own
-    # the chain's tilt comes in a little, and more blur for its radius
+    # includes a part of the pipeline's tilt, and more blur for its radius
     np.testing.assert_allclose(longer, 1.3**-1.5, rtol=0.06)
 
 
@@ -307,7 +307,7 @@ def test_a_requirement_becomes_sensor_files(tmp_path, capsys, fewer_loads):
 
 @pytest.mark.slow(4)
 def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads):
-    # nine places, and one of the changes that are all scored alike
+    # nine positions, and one of the changes with equal scores
     monkeypatch.setattr(predict_file, "_SPACING", 20e-3)
     variants = predict_file.variants
     monkeypatch.setattr(predict_file, "variants", lambda *words: list(variants(*words))[:1])
@@ -317,7 +317,7 @@ def test_a_file_has_a_map_and_a_page(tmp_path, capsys, monkeypatch, fewer_loads)
     assert {"design.json", "design.html"} <= {path.name for path in (tmp_path / "out").iterdir()}
     outside = 100 * (1 - result["image"]["width_used"])
     assert f"{outside:.0f} % of the image width" in text
-    # the frame's corners are drawn 533 px apart of 640
+    # the frame's corners are 533 px apart of 640
     assert result["image"]["width_used"] == pytest.approx(533 / 640, abs=0.02)
     center = next(item for item in result["face"] if item["x_mm"] == item["y_mm"] == 0)
     rim = max(result["face"], key=lambda one: abs(one["x_mm"]) + abs(one["y_mm"]))
@@ -328,7 +328,8 @@ def test_rotation_of_a_round_sensor_does_not_change_its_range(capsys):
     predictor = ResolutionPredictor(VirtualBench(load_sensor("round30")))
     place = np.array([5e-3, 2e-3])
     here, opposite = (predictor.at(at, 0.5) for at in (place, -place))
-    # the layout is the same turned by half; the film's tolerance of 0.5 um is 1 mN
+    # the layout is symmetric under rotation by 180 degrees; the membrane's tolerance of 0.5 um is 1
+    # mN
     assert here.estimated == pytest.approx(opposite.estimated, abs=2e-3)
     assert here.force_sd == pytest.approx(opposite.force_sd, rel=0.02)
     assert here.edge_sd < 0.5e-3

@@ -214,7 +214,7 @@ def test_on_a_busy_computer_images_may_be_late(camera, device, monkeypatch):
 
 def test_lost_images_are_counted(camera):
     camera.counters.dropped = 0
-    camera._count(0.041)  # four periods: three pictures never came
+    camera._count(0.041)  # four periods: three images are missing
     assert camera.counters.dropped >= 3
 
 
@@ -282,8 +282,8 @@ def test_a_stream_without_jpeg_images_is_reported(device):
 
 
 def test_a_cycle_starts_with_an_image_or_after_the_time_limit(device):
-    """The loop's clock wakes up when a picture has come, at the latest half a period after the time
-    asked for."""
+    """The clock of the loop returns when an image has arrived, at the latest half a period after
+    the requested time."""
     camera = OpenCvCamera(CONFIG, capture=lambda: device)
     try:
         period = 0.05
@@ -296,9 +296,9 @@ def test_a_cycle_starts_with_an_image_or_after_the_time_limit(device):
             assert camera.newest_time > seen
         device.mode = "stopped"
         goal = clock.now() + period
-        clock.wait_until(goal)  # the last picture may still come
+        clock.wait_until(goal)  # the last image may still arrive
         clock.wait_until(clock.now() + period)
-        # the loop goes on without pictures; 1 s for a busy computer
+        # the loop continues without images; 1 s for a busy computer
         assert clock.now() < goal + 3 * period + 1.0
     finally:
         device.mode = "gone"

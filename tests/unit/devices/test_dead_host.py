@@ -28,8 +28,8 @@ KINDS = {"brake": {}, "limp": {"trip": "limp"}, "goes on": {"firmware": 51}}
 
 
 class Jaws:
-    """The mechanism, alive; the spring is touched at `touch` m of opening. `silence` s are added to
-    the watchdogs' clock."""
+    """Running mechanism; the spring is in contact below an opening of `touch` m. `silence` s are
+    added to the watchdogs' clock."""
 
     def __init__(self, bench, touch):
         self.bench = bench
@@ -54,7 +54,7 @@ class Jaws:
         ]
 
     def settled(self):
-        """Wait until it moves no more: a servo that goes on needs 0.14 s for 10 mm."""
+        """Wait until the motion has ended: a servo that continues needs 0.14 s for 10 mm."""
 
         def rests():
             before = self.opening
@@ -100,7 +100,7 @@ def gripper_rig(kind, touch):
 
 
 def close_until(gripper, condition):
-    """Ask for closed jaws, as fast as they go."""
+    """Command closed jaws at maximum speed."""
     deadline = scaled_clock.monotonic() + 20
     while not condition():
         assert scaled_clock.monotonic() < deadline
@@ -110,8 +110,8 @@ def close_until(gripper, condition):
 
 
 def die(bench, jaws, gripper):
-    """The host is dead, and the watchdogs have noticed."""
-    gripper._closed.set()  # nothing keeps the bus alive, nor switches anything off
+    """Stop the host and wait until the watchdogs have tripped."""
+    gripper._closed.set()  # without keep-alive requests and without a shutdown
     gripper._keeper.join()
     jaws.silence = 10.0
     assert wait_for(lambda: all(servo.tripped for servo in bench.servos.values()))
@@ -140,7 +140,7 @@ def test_grip_force_does_not_increase_after_the_host_stops(kind):
 def test_a_moving_gripper_stops_without_its_host(kind):
     """A moving gripper stops within 10 mm of the last opening that the host received.
 
-    The command was to close by 72 mm, and nothing is between the jaws.
+    The command was to close by 72 mm, and no object is between the jaws.
     """
     with gripper_rig(kind, touch=0.0) as (bench, jaws, gripper):
         close_until(gripper, lambda: jaws.opening < START - 0.015)

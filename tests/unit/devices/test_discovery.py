@@ -102,7 +102,7 @@ def test_servos_and_valve_boards_answer(capsys, monkeypatch):
     with servo_bench() as bench:
         baud, found = servos_at(bench.bus.path, [1_000_000], reply_time=REPLY_TIMEOUT / 10)
         assert (baud, found) == (1_000_000, {1: "XL330-M288", 2: "XL330-M288"})
-        # WRITE, SYNC WRITE: nothing is set
+        # WRITE, SYNC WRITE: no register is written
         assert not any(packet.code in (0x03, 0x83) for packet in bench.log)
     with valve_bench() as (port, _, _, _):
         assert valve_board_at(port.path) == "mjvalve 1.1, 2 channels, with pressure sensors"

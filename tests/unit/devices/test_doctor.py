@@ -70,7 +70,7 @@ def test_a_torque_constant_of_another_model_is_bad():
 
 
 def test_devices_and_doctor_list_the_same_ports(monkeypatch):
-    """A built-in port is listed by both, and asked by none: it may be a console."""
+    """Both list a built-in port, and neither opens it, since it may be a console."""
     built_in = SimpleNamespace(device="/dev/ttyS0", description="n/a", serial_number=None, vid=None)
     adapter = SimpleNamespace(device="/dev/ttyU0", description="USB", serial_number="7", vid=1027)
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [adapter, built_in])

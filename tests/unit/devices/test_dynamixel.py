@@ -86,8 +86,8 @@ def test_connect_writes_settings_in_the_documented_order(bench):
 
 @pytest.mark.clock
 def test_torque_is_enabled_after_limit_and_watchdog(bench):
-    """A host that dies while it connects: whatever packet was its last, the servo is off, or
-    watched and weak."""
+    """If a host is lost while it connects, after any packet, the servo is off, or has a watchdog
+    and a low current limit."""
     states = []
     bench.bus._on_packet = lambda *_: states.extend(
         [
@@ -191,7 +191,8 @@ def test_a_tripped_watchdog_is_cleared_at_connect(bench):
 
 
 def test_the_number_of_turns_is_found_after_power_up():
-    """A full turn away the jaw would be at 36 + 75 mm; only one turn puts it between the stops."""
+    """One turn away the jaw would be at 36 + 75 mm; only one number of turns gives a position
+    between the stops."""
     config = GripperConfig(
         (0.0, 0.12), (ServoConfig(1, "XL330-M288", per_rad=0.012, zero_ticks=-1000),)
     )

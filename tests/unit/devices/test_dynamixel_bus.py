@@ -38,7 +38,7 @@ def test_group_read_keeps_the_alert_byte(bench, bus, fast):
 def test_group_read_names_servos_without_an_answer(bench, bus, fast):
     bench.faults.set("servo_silent", 2)
     replies, failures = bus.read_many([1, 2], POSITION, 4, fast=fast)
-    # the first servo's part of the packet has come
+    # the first servo's part of the packet has arrived
     assert failures[2].reason == ("corrupt" if fast else "no reply")
     assert set(replies) == (set() if fast else {1})  # the fast reply is one packet for all
 
@@ -116,8 +116,8 @@ def test_time_outs_are_those_of_the_file(bench):
 
 @pytest.mark.clock
 def test_a_late_reply_is_not_returned_for_the_next_request(bench):
-    """It comes 20 ms after the time-out, is intact, from the right servo and as long as the next
-    one's."""
+    """The reply arrives 20 ms after the time-out, is intact, from the same servo, and has the
+    length of the next reply."""
     bus = DynamixelBus(bench.bus.path, reply_timeout=0.05)
     try:
         bench.faults.set("servo_late", 0.07)
@@ -132,7 +132,7 @@ def test_a_late_reply_is_not_returned_for_the_next_request(bench):
 
 @pytest.mark.clock
 def test_byte_stuffing_is_written_and_removed(bench, bus, monkeypatch):
-    """The SDK computes the stuffed packet and throws it away. The bytes are compared with the
+    """The SDK computes the stuffed packet and discards it. The bytes are compared with the
     emulator's own encoder."""
     sent = []
     write = bus._port.writePort
@@ -172,7 +172,7 @@ def test_the_port_is_opened_exclusively_and_a_missing_port_is_named(bench, bus):
 def test_an_unplugged_adapter_is_a_lost_port(bench, bus):
     assert bus.ping(1)[0] == 1200
     bench.bus.close()
-    for _ in range(2):  # and stays one
+    for _ in range(2):  # and remains an error
         with pytest.raises(BusError) as caught:
             bus.read(1, POSITION, 4)
         assert caught.value.reason == "lost"
@@ -190,6 +190,6 @@ def test_invalid_bytes_give_no_reply():
     """A seeded 20 kB of noise and damaged packets; `mjtactile bench rig` feeds 10^6 bytes."""
     result = fuzz_servos(20_000)
     assert result["wrong"] == 0 and result["refused"] > 50
-    assert result["true"] > 0  # the true answers among them were taken
+    assert result["true"] > 0  # the correct answers among them were accepted
     # a babbler gets five times the time-out of 2 ms, on a busy computer more; a hang has no end
     assert result["longest_s"] < 30.0

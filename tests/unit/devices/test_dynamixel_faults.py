@@ -1,5 +1,5 @@
-"""The gripper driver in trouble: faults of servos and bus, silent hosts, and torque off on every
-way out."""
+"""Tests of the gripper driver with faults of servos and bus and silent hosts: torque is off after
+every exit."""
 
 import contextlib
 import math
@@ -56,7 +56,7 @@ def test_a_reply_between_request_and_state_corrupts_neither(bench):
         gripper.request_state()
         gripper.command(Command(before.opening, 1.0))
         bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
-        for _ in range(2):  # the answers were thrown away, so that the servos are asked again
+        for _ in range(2):  # the answers were discarded, and the servos are read again
             assert gripper.state().opening > before.opening + 0.005
     finally:
         gripper.close()
@@ -70,7 +70,7 @@ def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
     try:
         before = gripper.state()
         bench.faults.set("servo_silent", 2)
-        blind = gripper.state()  # asked, and asked again
+        blind = gripper.state()  # requested twice
         # the state carries its age
         assert blind.opening == before.opening and blind.time == before.time
         with pytest.raises(DeviceError, match=r"servo 2 .* no reply 3 times"):
@@ -120,7 +120,7 @@ def test_a_brown_out_is_detected(bench):
     try:
         bench.servos[1].brown_out()
         with pytest.raises(ServoFault, match="restart"):
-            for _ in range(2):  # each of two servos is asked every other reading
+            for _ in range(2):  # each of two servos is read in every second reading
                 gripper.state()
     finally:
         gripper.close()
@@ -135,7 +135,7 @@ def test_a_silent_host_trips_the_watchdog_and_the_driver_reports_it(bench):
         with pytest.raises(ServoFault, match="bus watchdog"):
             for _ in range(12):
                 gripper.state()
-        gripper.command(Command(0.08, 2.0))  # a host that was only late can still retreat
+        gripper.command(Command(0.08, 2.0))  # a late host can still retreat
         goal = round(0.08 / 2 / 0.012 / TICK)
         assert wait_for(lambda: bench.servos[1].get("Goal Position") == goal)
         assert bench.servos[1].get("Bus Watchdog") == 100  # and is watched again
@@ -146,7 +146,7 @@ def test_a_silent_host_trips_the_watchdog_and_the_driver_reports_it(bench):
 
 
 def test_a_host_that_vanished_is_silence_for_the_watchdog(bench):
-    """A closed pty looks readable; the emulated watchdog must not take that for traffic."""
+    """A closed pty is reported as readable; for the emulated watchdog this is not traffic."""
     gripper = bench.gripper()
     gripper.close()
     assert wait_for(lambda: not bench.bus.is_busy())
@@ -179,7 +179,7 @@ def test_torque_of_all_motors_is_disabled_when_one_fails(bench):
     with pytest.raises(DeviceError, match=r"torque of servo 1 .* could not be switched off"):
         gripper.close()
     assert bench.servos[2].get("Torque Enable") == 0
-    gripper.close()  # a second time does nothing
+    gripper.close()  # a second call has no effect
 
 
 def test_torque_is_off_after_a_failed_connection(bench):

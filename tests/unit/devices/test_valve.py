@@ -14,7 +14,7 @@ from tests.emulated import valve_bench, valve_configs, wait_for
 
 @pytest.fixture(params=[True, False], ids=["sensors", "no sensors"])
 def rig(request, monkeypatch):
-    """A board that has booted before anyone asks: who asks too early waits for half a second."""
+    """Provide a board that has booted, since earlier requests wait for half a second."""
     monkeypatch.setattr(emulated, "_BOOT_TIME", 0.0)
     with valve_bench(request.param) as (port, firmware, faults, chambers):
         boards, valves = connect_valves(valve_configs(port.path))
@@ -101,7 +101,7 @@ def test_the_board_vents_each_time_the_host_is_lost(rig):
         assert wait_for(lambda: valves[0].board._readings[1].fault)
         with pytest.raises(DeviceError, match="valve left vented by itself: the host was silent"):
             valves[0].state()
-        valves[0].open(0.0)  # the host knows
+        valves[0].open(0.0)  # the host has read the fault
 
 
 @pytest.mark.clock

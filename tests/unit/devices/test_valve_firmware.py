@@ -28,7 +28,7 @@ FAULTS = ("ok", "start", "silent", "sensor", "pressure")
 
 
 def compiler():
-    """The system's, else the one that pip installs; it needs no C++ library."""
+    """Return the compiler of the system, else that of pip; it needs no C++ library."""
     if found := os.environ.get("CXX") or shutil.which("c++"):
         return [found]
     if importlib.util.find_spec("ziglang"):
@@ -157,7 +157,7 @@ def test_a_second_host_takes_over_from_a_lost_host(host):
         board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)])
         board.set(1, 1000.0)
         assert is_near(host, 1000.0)
-        board._closed.set()  # the heartbeat's thread ends, and nothing is vented from here
+        board._closed.set()  # the heartbeat thread ends without a command to vent
         board._thread.join()
         board._serial.close()
         assert wait_for(lambda: host.channel()[:2] == ("vent", "silent"))
@@ -288,7 +288,7 @@ def test_firmware_answers_equal_those_of_the_emulated_board(host):
     ]
     with serial.Serial(host.path, timeout=5.0) as port:
         answer = b"-"
-        while b"-" in answer:  # until it has looked at its sensors
+        while b"-" in answer:  # until it has read its sensors
             port.write(emulated.framed("0 state 2"))
             answer = port.readline()
         for number, text in enumerate(lines):

@@ -1,4 +1,4 @@
-"""Lines of the valve board's protocol: a damaged one is none."""
+"""Tests of lines of the valve board's protocol: damaged lines are rejected."""
 
 import random
 import zlib
@@ -52,5 +52,5 @@ def test_invalid_lines_give_no_reading():
     """A seeded 20 kB through a port; `mjtactile bench rig` feeds 10^7 bytes."""
     result = fuzz_valve(20_000)
     assert result["wrong"] == 0 and result["refused"] > 15
-    assert result["true"] > 0  # the true answers among them were taken
-    assert result["longest_s"] < 10.0  # nothing hangs
+    assert result["true"] > 0  # the correct answers among them were accepted
+    assert result["longest_s"] < 10.0  # the reader does not block

@@ -1,4 +1,5 @@
-"""The emulated specimen: a finger's true sensor, which the host must not know."""
+"""Tests of the emulated as-built sensor: true parameters of a finger, which the host does not
+receive."""
 
 import copy
 import math
@@ -84,8 +85,7 @@ def test_a_finger_that_does_not_exist_is_named(table):
 
 
 def test_a_displaced_camera_agrees_with_the_projection():
-    """Drawn and found again: centres of the circles' images are where OpenCV-like projection puts
-    them."""
+    """Centers of circles detected in rendered images agree with their projection."""
     own = AsBuiltSensor("left", shift=(4e-4, -2e-4, 3e-4), tilt=(0.0, 0.017, 0.01))
     R_SC, p_SC = camera_pose(DESIGN, own)
     renderer = Renderer(DESIGN, pose=(R_SC, p_SC))
@@ -131,7 +131,7 @@ def test_a_servo_with_a_higher_torque_constant_needs_less_current():
 
 
 def test_shafts_with_backlash_turn_before_the_jaws_follow():
-    """With a play of 1 mm the jaws stand still while the shafts cross it, then both move together.
+    """With a backlash of 1 mm the jaws rest while the shafts cross it, then both move together.
 
     This also holds after a reversal.
     """
@@ -146,16 +146,17 @@ def test_shafts_with_backlash_turn_before_the_jaws_follow():
         jaws.follow_load(opening, 0.0, 0.0, 0.01)
         return jaws.drive(opening)[0], jaw.part(servo.angle)
 
-    # the jaws stand at the goal: the shaft, too
+    # jaws and shaft are at the goal
     assert driven(0.024) == (pytest.approx(0.024), pytest.approx(0.024, abs=2e-5))
-    # 0.3 mm further: within the play, the jaws stay, the shaft is there
+    # 0.3 mm further, within the backlash: the jaws rest, the shaft reaches its goal
     goal = 0.0237
     assert driven(0.024) == (pytest.approx(0.024), pytest.approx(0.0237, abs=2e-5))
-    # 3 mm further: the jaws are to stop half the play before it, the shaft is half the play ahead
+    # 3 mm further: the jaws stop half the backlash before the goal, the shaft is ahead by half of
+    # it
     goal = 0.021
     assert driven(0.024) == (pytest.approx(0.0215), pytest.approx(0.0235, abs=2e-5))
     assert driven(0.0215) == (pytest.approx(0.0215), pytest.approx(0.021, abs=2e-5))
-    # and back: the whole play is gone through before the jaws open
+    # reversed: the shaft crosses the complete backlash before the jaws open
     goal = 0.0218
     assert driven(0.0215)[0] == pytest.approx(0.0215)
     goal = 0.025
@@ -163,8 +164,8 @@ def test_shafts_with_backlash_turn_before_the_jaws_follow():
 
 
 def test_an_as_built_sensor_with_relaxation_is_stiffer_in_a_fast_stretch():
-    """5 % of the lasting stress in each decade from 1 to 1000 s: 20 % more at first; the file's
-    modulus is the lasting one."""
+    """Relaxation by 5 % of the long-term stress in each decade from 1 to 1000 s: initially 20 %
+    more. The file's modulus is the long-term modulus."""
     design = load_sensor("dense")
     true = true_design(design, AsBuiltSensor("left", creep=0.05))
     assert true.relaxation is not None and true.relaxation.quick == pytest.approx(1.2)

@@ -37,7 +37,7 @@ def test_encoding_gives_the_published_bytes(name):
 
 
 def test_decoding_inverts_encoding_with_stuffing_and_garbage():
-    parameters = b"\x74\x00\xff\xff\xfd\xff\xff\xfd\x00"  # two places that must be stuffed
+    parameters = b"\x74\x00\xff\xff\xfd\xff\xff\xfd\x00"  # two sequences that require stuffing
     packet = p2.encode(1, p2.WRITE, parameters)
     assert packet.count(b"\xff\xff\xfd\xfd") == 2
     found = list(p2.Decoder().feed(b"\xff\xff\x00junk" + packet + b"\xff"))
@@ -60,5 +60,5 @@ def test_random_bytes_neither_crash_nor_stop_the_decoder():
             rng.choice((0xFF, 0xFD, 0x00, rng.randrange(256))) for _ in range(rng.randrange(200))
         )
         assert all(not f.intact or f.code != p2.WRITE for f in decoder.feed(noise))
-    list(decoder.feed(bytes(2000)))  # whatever packet the noise had announced is over
+    list(decoder.feed(bytes(2000)))  # a packet header in the noise has ended
     assert [f.code for f in decoder.feed(p2.encode(1, p2.PING))] == [p2.PING]

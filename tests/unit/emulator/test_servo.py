@@ -201,7 +201,7 @@ def test_a_group_packet_with_a_bad_crc_is_not_answered(xl):
     packet = bytearray(p2.encode(p2.BROADCAST, p2.SYNC_READ, bytes((132, 0, 4, 0, 1, 2))))
     packet[-1] ^= 1
     xl.port.writePort(bytes(packet))
-    assert xl.ping()  # whatever had been answered would come first
+    assert xl.ping()  # an answer would arrive first
     assert xl.port.getBytesAvailable() == 0
     assert not xl.bench.log[0].intact
 

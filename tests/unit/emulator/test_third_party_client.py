@@ -1,5 +1,5 @@
-"""The emulated servos understand clients that are not ours: the SDK's two layers, used as in its
-own examples."""
+"""Tests of emulated servos with a third-party client: both layers of the SDK, used as in its
+examples."""
 
 import dynamixel_sdk as sdk
 import pytest

@@ -129,7 +129,7 @@ def test_failures_to_build_or_run_are_errors(tmp_path, monkeypatch, quick):
             recording=str(tmp_path / "recordings" / "a"),
         )
     )
-    assert not (tmp_path / "recordings" / "a").exists()  # it never began
+    assert not (tmp_path / "recordings" / "a").exists()  # the run did not start
     assert wide["outcome"] == "error" and "touches a sensor before the jaws close" in wide["reason"]
     assert wide["object"] == "random" and wide["randomized"]["random.shape"] == "cylinder"
     monkeypatch.setattr("mjtactile.evaluate.episodes.run_grasp", lambda *_, **__: 1 / 0)
@@ -154,8 +154,8 @@ def test_progress_prints_the_reason_of_an_error_at_once(rate, left):
 
 
 def test_a_full_disk_loses_no_stored_line(tmp_path):
-    """A limit on the size of files stands for the disk's: the write fails half-way, and resuming
-    goes on from whole lines."""
+    """A file size limit replaces a full disk: a write is incomplete, and resuming continues after
+    the complete lines."""
     kept = store.Store(tmp_path / "out", {"options": {}}, resume=False)
     kept.add({"episode": 0, "controller": "a", "outcome": "held"})
     size = (tmp_path / "out" / "episodes.jsonl").stat().st_size
@@ -220,7 +220,8 @@ def test_the_manifest_contains_the_command_of_the_evaluation(tmp_path):
 
 
 def test_an_object_crushed_before_a_simulation_failure_is_crushed(tmp_path, monkeypatch, quick):
-    """Else who presses hardest would have no failures, but errors, which do not count."""
+    """Otherwise a controller with excessive force would have uncounted errors in place of
+    failures."""
 
     def presses(scenario, observers, **_):
         for observer in observers:
@@ -265,7 +266,7 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
 
 
 def is_running(pid):
-    """Return True for a process that is neither gone nor a zombie."""
+    """Return True for a process that has neither ended nor is a zombie."""
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:

@@ -98,8 +98,7 @@ def test_a_parameter_with_failures_at_both_ends_is_significant():
 
 
 def test_random_failures_are_not_significant():
-    """Outcomes that have nothing to do with five values: in 5 % of such reports something stands
-    out."""
+    """Outcomes are independent of five values: in 5 % of such reports a value is significant."""
     rng = np.random.default_rng(3)
     seen = 0
     for seed in range(40):
@@ -157,7 +156,7 @@ def test_the_page_is_complete_and_agrees_with_the_lines():
     page = Balanced(report.page(manifest, table, worst(table, 2), {}))
     eggs = sum(line["outcome"] == "dropped" and line["object"] == "egg" for line in table) // 2
     assert "a<b holds 0.0 points more than gentle in the same 300" in page.text
-    assert re.search(rf"too heavy: it weighs [\d.]+ N{eggs}", page.text)  # alike reasons together
+    assert re.search(rf"too heavy: it weighs [\d.]+ N{eggs}", page.text)  # equal reasons together
     assert (
         "stands out" in page.text
         and "object.mass_percent" in page.text

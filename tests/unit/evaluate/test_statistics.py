@@ -36,8 +36,8 @@ def lines(outcomes, name="a"):
 
 @pytest.mark.parametrize("n", [8, 24, 60])
 def test_the_interval_of_a_paired_difference_covers_the_truth(n):
-    """Counted out over all results of n pairs: it covers the true difference in 94 % of evaluations
-    at least, whatever the shares. (Agresti and Min's covers down to 86 % where few differ.)"""
+    """Computed over all results of n pairs: coverage of the true difference is at least 94 % for
+    any fractions. (Agresti and Min's covers down to 86 % where few differ.)"""
     results = [(b, c) for b in range(n + 1) for c in range(n + 1 - b)]
     low, high = np.array([paired_interval(b, c, n) for b, c in results]).T
     b, c = np.array(results).T
@@ -84,7 +84,7 @@ def test_required_episodes_are_estimated():
 
 
 def test_fewer_than_five_differing_episodes_are_not_extrapolated():
-    """One differing episode may be 0.1 or 15 % of all: their number says nothing of the next."""
+    """One differing episode may be 0.1 or 15 % of all: too few for a prediction."""
     first = lines(["held"] * 20)
     for differing in (1, 4):
         second = lines(["dropped"] * differing + ["held"] * (20 - differing), "b")

@@ -42,12 +42,12 @@ def test_distance_is_exact_where_geometry_has_a_closed_form():
     assert superquadric.distance(theta([11.0, 11.0, 25.0], [0.1, 1.0]), wall) == pytest.approx(
         1.0, abs=1e-3
     )
-    # a truncated cone: 10 mm wide in the middle, 12 at its upper end
+    # a truncated cone: 10 mm wide at its center, 12 at its upper end
     cone = theta([10.0, 10.0, 20.0], [0.1, 1.0], (0.2, 0.2))
     assert superquadric.distance(cone, np.array([[11.0, 0.0, 10.0]])) == pytest.approx(
         0.0, abs=1e-3
     )
-    # a ball that is cut off 8 mm below its middle, 4 mm below and 1 mm inside of the flat end
+    # a ball that is truncated 8 mm below its center, 4 mm below and 1 mm inside of the flat end
     dome = theta([10.0] * 3, [1.0, 1.0], cut=0.8)
     below = np.array([[1.0, 2.0, -12.0], [1.0, 2.0, -7.0]])
     assert superquadric.distance(dome, below) == pytest.approx([4.0, -1.0], abs=1e-9)

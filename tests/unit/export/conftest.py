@@ -1,4 +1,4 @@
-"""Recordings that exporters are given: made up, of a press, and of a rig that stands still."""
+"""Recordings for exporters: synthetic, of an indentation, and of a rig at rest."""
 
 import pytest
 
@@ -13,7 +13,7 @@ from tests.fake_run import fake_cycle, write_fake_recording
 
 @pytest.fixture(scope="session")
 def pair(tmp_path_factory):
-    """Two made-up grasps of two fingers; in the second a force is unknown."""
+    """Provide two synthetic grasps of two fingers; in the second a force is unknown."""
     runs = tmp_path_factory.mktemp("pair")
     write_fake_recording(runs / "a" / "recording", count=12)
     with Recorder(

@@ -96,7 +96,7 @@ def test_an_mcap_file_contains_the_recording(pair, tmp_path):
     for (time, row), line in zip(
         found["/cycle"], [x for x in lines if x["kind"] == "cycle"], strict=True
     ):
-        # nothing is lost, null is null
+        # all values are kept, null is null
         assert {k: v for k, v in row.items() if k not in ("timestamp", "frame_id")} == {
             k: v for k, v in line.items() if k not in ("kind", "images")
         }

@@ -66,7 +66,7 @@ def test_a_lerobot_data_set_contains_the_recordings(pair, tmp_path, images):
         np.testing.assert_array_equal(
             mine["timestamp"], (np.arange(len(mine)) / 30).astype(np.float32)
         )
-    assert rows["recorded.status_code.left"][12 + 4] == "ok"  # made up: only the force is NaN
+    assert rows["recorded.status_code.left"][12 + 4] == "ok"  # synthetic: only the force is NaN
     assert (
         np.isnan(rows["recorded.force_normal"][12 + 4]).all()
         and np.isfinite(rows["recorded.force_normal"][12 + 3]).all()
@@ -125,8 +125,8 @@ def test_images_in_the_parquet_file_are_the_recorded_files(pair, tmp_path):
 
 
 def test_statistics_are_those_of_all_frames(pair, tmp_path):
-    """Joined from the episodes' own by the law of total variance; by hand from all rows. An unknown
-    value does not count."""
+    """Statistics joined by the law of total variance equal those of all rows. An unknown value does
+    not count."""
     lerobot.write(find_episodes(pair), tmp_path, images="none")
     stats = json.loads((tmp_path / "meta/stats.json").read_text())["recorded.opening"]
     rows = pq.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pandas()

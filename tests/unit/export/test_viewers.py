@@ -36,7 +36,7 @@ def read_rrd(path):
 
 
 def grasping(view):
-    """A simulated hand that stands still for some cycles, with `view` looking on."""
+    """Run some cycles of a simulated gripper at rest with the viewer `view`."""
     scenario = mjtactile.Scenario(rig="sim", object="egg")
     cycles = []
 
@@ -182,7 +182,7 @@ def test_a_failed_viewer_is_disconnected(tmp_path, caplog):
             pass
 
     view._open = lambda *_, **__: BrokenViewer()
-    assert len(grasping(view)) >= 3  # the run went on
+    assert len(grasping(view)) >= 3  # the run continued
     assert "the disk is full" in view.problem and "the disk is full" in caplog.text
 
 

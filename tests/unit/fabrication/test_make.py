@@ -82,14 +82,14 @@ def test_the_printed_pattern_stretched_is_the_design(markers, radius):
         edge = centres[:, None] + radii[:, None, None] * np.column_stack(
             [np.cos(angle), np.sin(angle)]
         )
-        mounted = edge @ (1.05 * np.eye(2))  # the sheet is stretched alike both ways
+        mounted = edge @ (1.05 * np.eye(2))  # the membrane is stretched equally in both directions
         center = mounted.mean(axis=1)
         away = np.linalg.norm(mounted - center[:, None], axis=2)
         # the file has 5 decimals
         np.testing.assert_allclose(center, 1e3 * DENSE.markers.p_SM[:, :2], atol=2e-5)
         # round; discs were not to be stretched
         np.testing.assert_allclose(away, radius * 1e3 * DENSE.markers.radius, atol=2e-5)
-        # the centre of gravity stays in the middle
+        # the centroid stays at the center
         np.testing.assert_allclose(centres.mean(axis=0), 0, atol=1e-5)
 
 
@@ -299,8 +299,7 @@ def test_the_longest_focal_length_that_is_named_still_shows_all_markers():
     ],
 )
 def test_an_infeasible_value_is_refused_with_a_feasible_limit(field, value):
-    """In one line that names the field, its value and the limit; with the limit in its place, that
-    field is good."""
+    """The error line names the field, its value and the limit; the limit itself is accepted."""
     design = DENSE
     if field == "chamber.depth_mm":  # the chamber ends at the glass
         design = with_field(with_field(design, "glass.distance_mm", 35.0), field, value)
@@ -374,8 +373,8 @@ def test_the_stress_of_the_glass_agrees_with_timoshenko():
 
 
 def test_simulated_states_are_inflated_and_pressed():
-    """One place of the four: flat, inflated as the closed form has it, and pressed as deep as was
-    asked for."""
+    """One of four positions: flat, inflated as in the closed form, and indented to the requested
+    depth."""
     flat, pressed, inflated, both = simulate(
         DENSE, Hardware(), "dense", lambda _: None, {"the middle": (0, 0)}
     )
@@ -417,7 +416,7 @@ def test_indentations_at_the_edge_of_a_round_opening_stay_inside():
 
 
 def test_pump_and_pressure_sensor_cover_sealed_indentations_and_the_fit_protocol():
-    """The sensor covers 2.5 N of the servo; the pump supplies the 3 kPa that `fit` asks for."""
+    """The sensor covers 2.5 N of the servo; the pump supplies the 3 kPa that `fit` requires."""
     states = simulate(DENSE, Hardware(), "dense", lambda _: None, {"the middle": (0, 0)})
     *protocols, servo = simulate_largest_loads(DENSE)
     assert max(state.gauge_pressure for state in protocols) > 4000

@@ -1,4 +1,5 @@
-"""Solids that `mjtactile fabricate` writes: against closed forms, closed, and of the right genus."""
+"""Tests of solids of `mjtactile fabricate`: against closed forms, closed, and of the expected
+genus."""
 
 import math
 import re
@@ -98,7 +99,7 @@ def step_shell(text):
 
 
 def check_shell(part, genus):
-    """A STEP file's faces are one closed shell of this genus."""
+    """Check that the faces of a STEP file are one closed shell of this genus."""
     ends, loops, faces, shells, points = step_shell(step_file.write_step(part))
     assert len(shells) == 1 and len(shells[0]) == len(faces)
     used = Counter(edge for face in faces for loop in face for edge in loops[loop])
@@ -183,7 +184,7 @@ def test_a_frame_of_another_outline_is_a_solid_around_it(design):
     area = 1e6 * design.frame.area
     # a polygon of 240 corners
     assert mouth(layout).area == pytest.approx(area, rel=1e-3)
-    # and the flat where the air comes in; a hexagon has a corner there
+    # and the flat area of the air inlet; a hexagon has a corner there
     assert area < opening(layout).area < 1.025 * area
     found = make_parts(layout)
     for name in ("frame", "clamp_ring", "membrane", "gasket"):

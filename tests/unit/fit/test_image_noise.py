@@ -1,4 +1,4 @@
-"""Light, noise and blur from images that are drawn with other ones than the sensor file's."""
+"""Tests of light, noise and blur estimated from images whose values differ from the sensor file."""
 
 from dataclasses import replace
 

@@ -156,7 +156,7 @@ def test_a_misfit_widens_the_intervals(true):
 
 
 def test_a_weight_indents_to_its_equilibrium_depth(true):
-    """A weight F goes as deep as an indenter that needs the force F at 2.7 mm.
+    """A weight F has the depth of an indenter whose force is F at 2.7 mm.
 
     The markers are at the same positions, within the effect of 0.3 % of the force. For a dent of
     2.7 mm this is less than 0.3 %, 8 um.

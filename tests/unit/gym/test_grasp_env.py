@@ -1,5 +1,5 @@
-"""The environment keeps Gymnasium's rules, goes back to where it was bit for bit, and scores as
-`evaluate` does."""
+"""Tests of the environment: rules of Gymnasium, bit-identical resets, and the scoring of
+`evaluate`."""
 
 import functools
 import subprocess
@@ -104,8 +104,8 @@ def test_reset_compiles_nothing(env, monkeypatch):
 
 
 def test_a_reset_object_has_its_initial_pose(env):
-    """The moved egg against one that was compiled in its place, both at rest: pose and cup. An egg
-    that rocks in its cup is within microns, not digits."""
+    """A moved egg and one compiled at its position have the same pose and cup at rest, within
+    micrometers."""
     env.reset(seed=7)
     moved = env.unwrapped._rig.scene
     rig = build_rig("sim", load_sensor("dense"), seed=7)

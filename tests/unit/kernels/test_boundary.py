@@ -1,4 +1,5 @@
-"""Nothing reaches C that C cannot take: sizes, contents, settings; and no return code gets lost."""
+"""Tests of the C boundary: invalid sizes, contents and settings are refused, and every return code
+raises."""
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ ARRAYS = [
 
 
 def values_of(declaration):
-    """Arrays of the sizes that the declaration asks for, where every whole number is six."""
+    """Return arrays of the declared sizes, with six for every integer."""
     values = [6 if argument.kind == "int64_t" else 1.0 for argument in declaration.arguments]
     sizes = declaration.sizes()(*values)
     return [
@@ -97,7 +98,7 @@ def test_codes_raise_their_exceptions():
 
 
 def test_a_membrane_of_too_few_splines_is_refused():
-    """Two intervals made the kernel write before and behind its arrays."""
+    """With two intervals the kernel would write beyond its arrays."""
     design = load_sensor("dense")
     for spans in ((14, 2), (2, 10), (1, 1), (0, 10)):
         settings = DEFAULTS.inverse.__class__(spans=spans)
@@ -110,7 +111,7 @@ def test_a_membrane_of_too_few_splines_is_refused():
 def test_neighbours_are_limited_to_the_available_markers():
     """The kernel matches all markers with any number of neighbours.
 
-    Beyond 64 the kernel refused, and its unwritten output was taken for marker numbers.
+    More than 64 were refused before, and the unwritten output was used as marker numbers.
     """
     layout = load_sensor("dense").markers.p_SM
     found = layout + [2e-4, -1e-4, 0.0]

@@ -1,5 +1,5 @@
-"""Moments of borders and the judgement of candidates and fits against numpy, on images and on
-numbers drawn at random."""
+"""Tests of border moments and of the validation of candidates and fits against numpy, on images and
+on random values."""
 
 import re
 from dataclasses import fields

@@ -82,7 +82,8 @@ def test_a_marker_outside_the_image_has_no_pixels():
 
 
 def test_pairs_are_those_within_the_radius_of_the_first():
-    """A search with the largest radius made 10^7 pairs of 4800 dots next to one large outline."""
+    """A search with the largest radius would give 10^7 pairs of 4800 dots next to one large
+    outline."""
     rng = np.random.default_rng(5)
     points = rng.uniform(0, 100, (60, 2))
     radii = rng.uniform(0, 20, 40)

@@ -1,5 +1,5 @@
-"""The compiled stages against the same estimators in numpy, on images of a membrane that is pressed
-aside."""
+"""Tests of the compiled stages against the same estimators in numpy, on images of a membrane under
+normal and shear load."""
 
 from dataclasses import fields, replace
 

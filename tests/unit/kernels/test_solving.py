@@ -113,8 +113,8 @@ def test_membrane(law):
 
 
 def test_an_indefinite_stiffness_is_regularized():
-    """Crumpled by millimetres, the sheet has no positive definite tangent; Newton's step is finite
-    and downhill all the same."""
+    """A membrane with random displacements of millimeters has an indefinite tangent; Newton's step
+    is finite and a descent direction."""
     ours = spline_fem.SplineMembrane(load_sensor("dense"), (14, 10))
     state = ours.state(np.random.default_rng(0).normal(0, 2e-3, (3, ours.count)))
     assert np.linalg.eigvalsh(from_band(ours.tangent(state, 0.0), ours.width))[0] < 0
@@ -142,7 +142,7 @@ def test_tractions_from_markers(sensor):
     rest = ours.rest_state(
         Markers(np.arange(n), p + np.outer(bulge, [0, 0, 1]), outward, cov), 1000.0
     )
-    rest = replace(rest, young=rest.stiffness_scale, stretch=1.0)  # theirs knows no stretch
+    rest = replace(rest, young=rest.stiffness_scale, stretch=1.0)  # the reference has no stretch
     shape = reference = None
     for depth in (0.0, 0.3e-3, 0.32e-3, 1.5e-3):
         q = ours.positions(rest.c) + rest.offset

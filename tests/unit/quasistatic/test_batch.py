@@ -1,4 +1,4 @@
-"""Threads that share a batch out."""
+"""Tests of threads that divide a batch."""
 
 import threading
 from functools import partial
@@ -24,7 +24,9 @@ def test_an_error_in_a_thread_is_raised_and_the_thread_continues():
         alive.append({item for item in threading.enumerate() if item.name.startswith("membrane-")})
     assert set(first) == set(second) == {0, 1, 2}
     assert first[0] is second[0] is threading.current_thread()
-    assert len(alive[0]) >= 2 and alive[0] == alive[1]  # they stayed, and no other came
+    assert (
+        len(alive[0]) >= 2 and alive[0] == alive[1]
+    )  # the same threads continue, and no other was started
     assert set(second.values()) <= alive[1] | {second[0]}
 
 

@@ -26,7 +26,9 @@ def test_a_rod_is_held_with_the_fine_membrane_s_force_within_the_stated_error(so
     fine = solver.refined_for(rod(0.0))
     # against 81 x 61 nodes: 0.277, 0.6 % off at any place
     forces = np.array([fine.solve(rod(x)).force_normal for x in places])
-    assert np.ptp(forces) < 0.03 * forces.mean()  # as the film's page asks of rods
+    assert (
+        np.ptp(forces) < 0.03 * forces.mean()
+    )  # as required for rods on the page of the quasi-static membrane
     states = [solver.solve(rod(x)) for x in places]
     off = [abs(state.force_normal / forces.mean() - 1) for state in states]
     assert max(off) > 0.05  # otherwise there is no error to state
@@ -83,7 +85,7 @@ def test_a_tip_s_force_is_off_by_no_more_than_stated(solver, at):
     off = abs(coarse.force_normal / fine.force_normal - 1)
     assert (
         0.6 < off <= coarse.relative_force_error
-    )  # 0.2 of the force: much of the tip is behind the sheet
+    )  # 0.2 of the force: most of the tip is behind the membrane
     assert np.isinf(coarse.relative_area_error)
 
 
@@ -117,7 +119,7 @@ def test_an_area_is_known_where_the_grid_determines_it(solver):
     top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
     lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
     ball = solver.solve(solver.obstacle("sphere", (12e-3,), (0, 0, top - 2.5e-3 + 12e-3)))
-    # round: the sheet bears p + 2 T / R of a ball, T from 1 % around it
+    # round: the membrane carries p + 2 T / R of a ball, T within 1 %
     bears = ball.gauge_pressure + 2 * ball.found[TENSION] / 12e-3
     assert ball.area == pytest.approx(ball.force_normal / bears, rel=ball.relative_area_error)
     face = solver.solve(solver.obstacle("box", (5.3e-3, 4.1e-3, 5e-3), (7e-4, 3e-4, top + 3.5e-3)))

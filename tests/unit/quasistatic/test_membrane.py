@@ -77,7 +77,7 @@ def other_designs():
 def test_other_membranes_and_pressures_are_the_complete_membrane_s(case):
     membrane = benchmarks.quasistatic._membrane(case, (41, 31))
     state = membrane.solve(benchmarks.quasistatic._obstacle_of(membrane, case))
-    # nodes are 1 mm apart, and the independent sheet's 0.5 mm
+    # nodes are 1 mm apart, in the independent membrane 0.5 mm
     assert state.force_normal == pytest.approx(case["force_N"], rel=0.015)
     assert state.gauge_pressure == pytest.approx(case["pressure_Pa"], rel=3e-3)
 
@@ -102,8 +102,8 @@ def test_a_single_step_and_many_steps_have_the_same_force(coarse):
 
 
 def test_a_membrane_extrapolates_the_motion_of_its_obstacle(coarse):
-    """With the trend, a body that moves on evenly wants half the steps, and one that turns back is
-    met as well."""
+    """With extrapolation, an obstacle at constant speed needs half the steps; a reversal has the
+    same solution."""
     steps = {True: 0, False: 0}
     for kept in steps:
         state = coarse.rest
@@ -158,7 +158,7 @@ def test_a_solution_that_does_not_converge_is_nan(coarse):
     assert batch[1].status is MembraneStatus.RIM_CONTACT
     numbers = (lost.gauge_pressure, lost.area, lost.volume, *lost.wrench)
     assert np.isnan(numbers).all() and np.isnan(lost.heights).all()
-    again = coarse.solve_batch([[fine]] * 3, batch)  # from rest, where there was nothing
+    again = coarse.solve_batch([[fine]] * 3, batch)  # from rest, without contact
     assert again.converged.all()
 
 
@@ -217,7 +217,7 @@ def test_a_blade_is_not_lost_between_nodes(coarse, turn):
         coarse.solve(blade.at((x, y, 0.0102))).force_normal
         for x, y in [(0, 0.3e-3), (0.5e-3, 0), (1e-3, 0.8e-3), (0.7e-3, -0.4e-3), (-0.2e-3, 0.1e-3)]
     ]
-    # a straight one's ends go over edges; a turned one goes from line to line of nodes, 2 mm apart
+    # ends of an aligned blade cross edges; a rotated blade crosses lines of nodes 2 mm apart
     assert np.ptp(forces) < (0.1 if turn else 0.03) * np.mean(forces)
 
 

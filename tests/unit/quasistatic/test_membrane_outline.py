@@ -1,5 +1,5 @@
-"""The film in frames that are no rectangles: against closed forms, Ritz's method, and rectangles
-that are turned on the grid."""
+"""Tests of the quasi-static membrane in frames other than rectangles: against closed forms, Ritz's
+method, and rectangles rotated on the grid."""
 
 import pickle
 from dataclasses import replace
@@ -55,8 +55,7 @@ def test_the_error_of_the_outline_falls_with_the_square_of_the_spacing(design):
 
 
 def turned_square(angle):
-    """A square frame, its corners rounded as little as can be, turned on the film's grid, and how
-    it is turned."""
+    """Return a square frame with minimum corner radius, rotated on the grid, and its rotation."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     corners = HALF * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ R[:2, :2].T

@@ -63,8 +63,8 @@ INSIDE = {
 
 
 def lowest_inside(inside, turn, places):
-    """Heights (n,) m at which a line from below comes into a body: looked for in steps of 0.1 mm,
-    then halved to 1e-12 m."""
+    """Return heights (n,), m, at which a vertical line from below enters a body: search in steps of
+    0.1 mm, then bisection to 1e-12 m."""
     steps = np.arange(-4e-3, 20e-3, 1e-4)
     at = np.repeat(places, len(steps), axis=0)
     lines = np.column_stack([at, np.tile(steps, len(places))])
@@ -242,7 +242,7 @@ def test_the_force_of_cones_and_wedges_increases_with_depth(quasistatic):
 
 @pytest.mark.parametrize("tilt", [0.1, 0.3, 0.7])
 def test_a_tilted_box_is_met_at_its_edge(quasistatic, tilt):
-    """Its flank is steeper than the sheet can follow; its edge is where both end."""
+    """Its flank is steeper than the slope limit of the membrane; both end at its edge."""
     rotation = np.array(
         [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
     )
@@ -278,11 +278,13 @@ def test_an_invalid_body_is_refused_in_one_line(quasistatic):
             quasistatic.solve(none)
     with pytest.raises(InputError, match="is not an obstacle"):
         quasistatic.solve_batch([[ball], [None]])
-    with pytest.raises(InputError, match="norm 0"):  # it was taken as not turned
+    with pytest.raises(InputError, match="norm 0"):  # it was treated as not rotated
         quasistatic.obstacle("box", (1e-3, 1e-3, 1e-3), R_SO=(0, 0, 0, 0))
     with pytest.raises(InputError, match="no triangle"):
         quasistatic.obstacle("triangles", data=np.zeros((0, 3, 3)))
-    same = quasistatic.solve(item for item in [ball])  # anything that goes through bodies will do
+    same = quasistatic.solve(
+        item for item in [ball]
+    )  # any membrane that passes through bodies is suitable
     assert same.force_normal == quasistatic.solve(ball).force_normal
     for grid in ("ab", (np.nan, 16), 21):
         with pytest.raises(
@@ -294,7 +296,7 @@ def test_an_invalid_body_is_refused_in_one_line(quasistatic):
 @pytest.mark.parametrize("at", [(0.0, 0.0), (7e-4, 3e-4)])
 @pytest.mark.parametrize("wide", [2e-3, 0.67e-3])
 def test_a_cone_too_steep_for_the_grid_is_refused_and_not_missed(at, wide):
-    # straight above its tip rounding left nothing of it, and the force was zero, converged
+    # above its tip, rounding removed the contact, and the converged force was zero
     quasistatic = QuasistaticMembrane("dense", (21, 16), 1000.0)
     for tip in (1e-3, 2e-3):
         cone = quasistatic.obstacle("cone", (wide, 6e-3), (*at, tip))
@@ -343,8 +345,8 @@ def test_a_hull_has_each_face_once():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_hull_presses_as_its_triangles_do(quasistatic, seed):
-    """Triangles are asked everywhere, one by one; hulls by their faces, and only where their
-    tangents are not above the sheet."""
+    """Triangles are evaluated individually at all nodes; hulls by their faces, only where their
+    tangents are not above the membrane."""
     rng = np.random.default_rng(seed)
     cloud = rng.normal(size=(30, 3)) * (6e-3, 5e-3, 4e-3)
     hull = ConvexHull(cloud)

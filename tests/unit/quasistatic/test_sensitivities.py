@@ -179,4 +179,4 @@ def test_states_without_derivatives_are_refused(monkeypatch):
     with pytest.raises(InputError, match="shape: None is not an obstacle"):
         membrane.derivatives(pressed, lambda numbers: None, [0.0])
     empty = membrane.derivatives(membrane.rest, shape, [0, 0, 0.02, 8e-3])
-    assert not empty.displacements.any() and not empty.wrench.any()  # it touches nothing
+    assert not empty.displacements.any() and not empty.wrench.any()  # without contact

@@ -49,7 +49,7 @@ def test_a_sticking_patch_is_as_stiff_as_an_independent_membrane_holds_it(
 
 
 def test_a_membrane_that_moves_holds_a_patch_nearly_as_stiffly():
-    """It takes the stiffness of the sheet at rest, for all contacts."""
+    """All contacts use the stiffness of the membrane at rest."""
     coarse = QuasistaticMembrane("dense", gauge_pressure=1000.0)
     sticking = Sticking(coarse)
     for radius, depth, along, _ in DRAGGED:

@@ -43,7 +43,7 @@ def complete(tmp_path_factory):
 
 
 def changed(lines, seed):
-    """One to three values anywhere in the lines' JSON replaced or taken out."""
+    """Replace or remove one to three values at random positions in the lines' JSON."""
     rng = random.Random(seed)
     rows = [json.loads(line) for line in lines]
     for _ in range(rng.choice([1, 1, 3])):
@@ -156,7 +156,7 @@ def test_header_values_shown_on_pages_are_checked(row, wrong):
 
 
 def rewritten(source, folder, change):
-    """A copy of a recording whose lines went through `change(row)`."""
+    """Return a copy of a recording with `change(row)` applied to its lines."""
     rows = [json.loads(line) for line in (source / "log.jsonl").read_text().splitlines()]
     for row in rows:
         change(row)

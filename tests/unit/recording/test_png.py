@@ -15,7 +15,7 @@ RNG = np.random.default_rng(0)
 @pytest.mark.parametrize(
     "pixels",
     [
-        RNG.integers(0, 256, (48, 64), np.uint8),  # nothing to compress
+        RNG.integers(0, 256, (48, 64), np.uint8),  # incompressible data
         np.rint(RNG.normal(120, 3, (480, 640))).astype(np.uint8),
         np.zeros((1, 1), np.uint8),
         np.full((3, 70000), 255, np.uint8),

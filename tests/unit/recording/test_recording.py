@@ -260,7 +260,7 @@ def test_a_disk_that_is_full(tmp_path, caplog):
     for cycle in CYCLES[:3]:
         recorder.add(cycle)
     assert wait_for(recorder._queue.empty)
-    # as good as a full disk: whatever grows a file fails
+    # equivalent to a full disk: every write that extends a file fails
     resource.setrlimit(resource.RLIMIT_FSIZE, (1, limit[1]))
     try:
         (reported,) = aborted(recorder, caplog)

@@ -22,7 +22,7 @@ P_WS = np.array([0.3, -0.2, 0.5])
 
 @dataclass
 class Scene:
-    """A ball whose lowest point in S is `place`, and a table far above it, in W."""
+    """Scene of a ball with the lowest point `place` in S, and a table far above it, in W."""
 
     place: np.ndarray
     p_WS: np.ndarray

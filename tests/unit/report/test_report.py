@@ -1,4 +1,4 @@
-"""The picture and the progress line come out whatever the run was like."""
+"""Tests of the figure and the progress line for every kind of run."""
 
 import io
 import sys
@@ -123,7 +123,7 @@ def test_arrows_are_drawn_at_contacts_only_with_a_round_scale():
     largest = np.linalg.norm(stress, axis=-1).max()
     assert 0.4 * largest < report.arrow_unit([touch]) <= largest
     assert not report._tractions(replace(touch, touching=False)).any()
-    # nothing touches: a scale all the same
+    # without contact: a scale, too
     assert report.arrow_unit([fake_touch(0.0, 0.0)]) == 1000.0
 
 

@@ -28,7 +28,7 @@ class DarkScene(FakeScene):
 
 @pytest.fixture
 def recording(tmp_path):
-    """60 cycles at 30 Hz whose images are of one grey each, which rises with time."""
+    """Provide 60 cycles at 30 Hz with uniform images whose gray level rises with time."""
     write_fake_recording(tmp_path, count=60)
     for k, path in enumerate(sorted((tmp_path / "frames").glob("*_left.png"))):
         cv2.imwrite(str(path), np.full((480, 640), 40 + 3 * k, np.uint8))

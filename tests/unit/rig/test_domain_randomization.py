@@ -56,7 +56,7 @@ def test_the_shipped_file_randomizes_every_parameter():
         f"{section}.{row.key}"
         for section, rows in SECTIONS.items()
         for row in rows
-        if section != CAMERA  # off unless asked
+        if section != CAMERA  # off by default
     }
     assert set(load_variation("default").spreads) == names
 
@@ -165,7 +165,7 @@ def test_units_and_fingers():
 @pytest.mark.parametrize("name", ["egg", "strawberry", "tofu"])
 def test_a_changed_object_has_the_right_mass_and_size(name):
     """Length by s, mass by s^3 (1 + m), inertia by s^2 more; springs and moduli by their own
-    share."""
+    fraction."""
     path = load_object(name).path
     spec = mujoco.MjSpec.from_file(str(path))
     before = spec.compile()
@@ -284,11 +284,11 @@ def gripper(change):
 def test_gear_backlash_is_simulated():
     world, go, gripper_rig = gripper(RigChange(backlash=4e-4))
     go(0.04)
-    # half the play behind the motor, which has closed
+    # half the backlash behind the closed motor
     assert world.opening == pytest.approx(0.0402)
     assert gripper_rig.state().opening == pytest.approx(0.04)
     go(0.0401)
-    assert world.opening == pytest.approx(0.0402)  # within the play
+    assert world.opening == pytest.approx(0.0402)  # within the backlash
     go(0.0406)
     assert world.opening == pytest.approx(0.0404)
 

@@ -43,7 +43,7 @@ def test_noise_below_a_quarter_of_the_play_does_not_move_the_motors_back():
     play.motor_goal(0.05)
     first = play.motor_goal(0.048)
     assert play.motor_goal(0.048 + 0.2 * PLAY) == first
-    assert play.motor_goal(0.048 - 0.2 * PLAY) < first  # the same direction goes on
+    assert play.motor_goal(0.048 - 0.2 * PLAY) < first  # motion continues in the same direction
 
 
 def test_without_play_commands_are_unchanged():

@@ -171,7 +171,7 @@ def recorded(folder, sensor, **fields):
 
 
 def test_a_recording_is_replayed_with_the_sensor_that_it_contains(tmp_path, caplog):
-    """Its text counts, whatever became of the file: another than the recorded one is refused."""
+    """The recorded text is used, and another sensor than the recorded one is refused."""
     path = tmp_path / "mine.toml"
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.36 "))
@@ -251,7 +251,7 @@ def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     arguments = ["--rig", rig, "--controller", "quick.py", "--out", "run", "--json"]
     code = main(["grasp", *arguments])
     summary = json.loads(capsys.readouterr().out)
-    assert code == 1  # it only looked
+    assert code == 1  # read only
     assert summary["sensor"] == "dense, paper16"
     assert main(["summary", "run", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["re_estimate"]

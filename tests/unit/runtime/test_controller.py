@@ -26,7 +26,7 @@ def step(observation):
 
 
 def test_a_dataclass_with_deferred_annotations_in_files_of_one_name(tmp_path):
-    """A dataclass looks its fields' types up in its module's names."""
+    """A dataclass resolves the types of its fields in the names of its module."""
     loaded = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

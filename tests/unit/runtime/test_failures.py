@@ -109,7 +109,7 @@ def test_a_loop_without_memory_sets_down():
 
 
 def past_its_checks(**values):
-    """A change of a Command that its own checks do not see."""
+    """Change a Command without its own checks."""
 
     def change(command):
         for name, value in values.items():
@@ -120,7 +120,7 @@ def past_its_checks(**values):
 
 
 class Unmade(Command):
-    """One that was never made."""
+    """Command without initialization."""
 
     opening = property(lambda self: 1 / 0)  # type: ignore[assignment]
 
@@ -242,7 +242,7 @@ def test_a_controller_that_does_not_return():
     assert "step() did not return within 0.2 s" in message
     # where it hangs
     assert re.search(r"test_failures.py: line \d+: step\(\) did not return", message)
-    assert ended.wait(10)  # it was asked to end, and takes no more computing time
+    assert ended.wait(10)  # the thread was stopped, and uses no more processor time
     assert world.has_set_down() and len(cycles) == len(world.sent)
 
 
@@ -291,7 +291,7 @@ def test_an_observer_of_a_cycle_that_fails():
     world = World()
     cycles, message = world.run("", act=act, error=OSError)
     assert message == "no space left" and world.has_set_down()
-    assert len(cycles) == len(world.sent)  # and it receives every other one
+    assert len(cycles) == len(world.sent)  # and it receives all other cycles
 
 
 def test_a_pipeline_that_fails():

@@ -109,7 +109,7 @@ def test_an_abort_without_a_device_fault_is_the_controllers():
 
 
 def test_an_empty_gripper_has_not_set_down():
-    """It closed on nothing at the height of the table, and never held an object."""
+    """The gripper closed without an object at the height of the table."""
     log = _Log(Observer(), None, None)
     for phase, opening in (("close", 0.05), ("abort", 0.05), ("abort", 0.06)):
         log.add(cycle(EMPTY, Command(opening, 4.0, 0.0, phase)))
@@ -178,7 +178,7 @@ def test_a_failed_grasp_names_the_forces_outside_of_the_controller(
 
 
 def test_jaws_blocked_by_the_stand_are_reported(tmp_path):
-    """Posts beside a test tube stop the frames of the sensors before the membranes are loaded."""
+    """Posts next to a test tube stop the frames of the sensors before the membranes are loaded."""
     post = '<geom name="{}" type="capsule" fromto="{} .0053 0 {} .0053 0.03" size="0.0012"/>'
     posts = post.format("left_post", -0.0053, -0.0053) + post.format("right_post", 0.0053, 0.0053)
     tube = tmp_path / "tube.xml"

@@ -70,7 +70,10 @@ def test_unknown_force_neither_closes_nor_lifts(supervisor):
     opened = supervisor.decide(
         0.15, Command(0.06, 4.0, 0.01, "hold"), LAST, (BLIND, BLIND), (SEALED, SEALED)
     )
-    assert (opened.opening, opened.lift_height) == (0.06, 0.01)  # away from harm is let through
+    assert (opened.opening, opened.lift_height) == (
+        0.06,
+        0.01,
+    )  # commands in the safe direction pass
     supervisor.decide(0.2, LAST, LAST, (OK, OK), (SEALED, SEALED))
     assert supervisor.state == "running"
 
@@ -150,7 +153,7 @@ def test_a_membrane_under_an_unknown_force_does_not_leak(supervisor):
 
 
 def test_the_jaws_open_when_the_measured_height_is_low(supervisor):
-    """A lift that was stopped is behind; one that stays up for a second is kept up by something."""
+    """A stopped lift lags behind; a lift that stays up for a second is blocked."""
     supervisor.make_safe("a fault", 0.0)
     last = LAST
     opened = None
@@ -174,7 +177,7 @@ def test_the_jaws_open_at_once_when_the_gripper_has_come_down_with_its_command(s
     ("place", "touch", "stood", "lands"),
     [
         (0.02, replace(OK, force_normal=0.0, touching=False), False, True),
-        (0.02, OK, False, False),  # it still holds something
+        (0.02, OK, False, False),  # it still holds an object
         (0.02, BLIND, False, False),  # or may
         (0.0, replace(OK, force_normal=0.0, touching=False), False, False),
         (0.0, replace(OK, force_normal=0.0, touching=False), True, True),
@@ -207,13 +210,13 @@ def test_a_stale_camera_holds_then_opens_and_the_run_ends():
     cycles, message = world.run("camera")
     assert message.startswith("stopped safely: no force for 0.5 s: left camera is stale")
     assert [c.state for c in cycles[5:7]] == ["holding", "holding"]
-    assert math.isnan(cycles[5].touch[0].force_normal)  # unknown, neither zero nor the last one
+    assert math.isnan(cycles[5].touch[0].force_normal)  # unknown, neither zero nor the last value
     assert world.lift < 1e-3
     assert world.opening > 0.05 + RETREAT_OPENING - 1e-3
 
 
 def test_a_servo_fault_leads_to_the_safe_state_with_its_reason():
-    """Its touch stays and nothing is measured of its jaws: they were opened, unverified."""
+    """Its touch remains and its jaws are not measured: they were opened without verification."""
     world = World()
     cycles, message = world.run("gripper")
     assert message == (
@@ -341,7 +344,7 @@ def retreat_from(height):
 
 
 def test_a_gripper_measured_above_the_table_is_not_down(supervisor):
-    """A lift that lags: its command is down, the hand is not."""
+    """A lift lags: its command is down, the gripper is not."""
     up = GripperState(0.06, 0.0, 0.0, 0.02)
     cycle = SimpleNamespace(
         rig=SimpleNamespace(goal=TaskGoal()),

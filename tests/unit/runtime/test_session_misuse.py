@@ -1,5 +1,5 @@
-"""A session that is closed, or that runs something else than a controller, is one named error
-before anything moves."""
+"""Tests of misuse of a session: a closed session or an object other than a controller raises one
+named error before any motion."""
 
 import pytest
 

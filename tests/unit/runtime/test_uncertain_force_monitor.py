@@ -105,7 +105,7 @@ def environment():
 
 
 def scene():
-    """Let a ball of 20 g lie on a sensor for 0.5 s."""
+    """Rest a ball of 20 g on a sensor for 0.5 s."""
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec)
     spec.worldbody.add_site(name="tip")
@@ -134,7 +134,8 @@ def test_every_loop_reports_the_flag(monkeypatch, use):
 
 
 def test_touches_of_the_simulated_stage_are_monitored():
-    """A made-up sensor measures 1 N with 0.4 N; images are 0.1 s apart."""
+    """A synthetic sensor estimates 1 N with a standard deviation of 0.4 N; images are 0.1 s
+    apart."""
     stage: Any = object.__new__(SimulatedStage)
     world = SimpleNamespace(time=0.0, timestep=2e-3, flags={}, turn=lambda *_: None)
     world.drive = lambda depth: None

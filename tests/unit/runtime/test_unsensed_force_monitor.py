@@ -33,7 +33,7 @@ def watch():
     ("free", "effort", "estimated"),
     [
         (0.4, 0.9, 0.6),  # a grasp through gears
-        (0.4, 2.6, 2.0),  # a data sheet that is 20 % off, and the same gears
+        (0.4, 2.6, 2.0),  # an error of 20 % of the data sheet, and the same gears
         (0.0, 0.7, 0.9),  # or off the other way
         (-0.4, -0.5, 0.0),  # jaws that open
         (0.4, math.nan, 0.6),  # no current

@@ -24,7 +24,7 @@ def ends():
 def test_arrays_are_transferred_unchanged_at_any_size(ends, count):
     one, other = ends
     numbers = RNG.normal(size=count)
-    odd = RNG.integers(0, 256, (1, 1, 1), np.uint8)  # the next one begins at an even place
+    odd = RNG.integers(0, 256, (1, 1, 1), np.uint8)  # the next array starts at an aligned offset
     one.send("seen", [odd, numbers], {"time": 0.5})
     word, (first, second), reported = other.receive(1.0)
     assert (word, reported) == ("seen", {"time": 0.5})

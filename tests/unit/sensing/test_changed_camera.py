@@ -141,7 +141,7 @@ def test_the_camera_estimate_equals_the_fit_of_all_images():
         weight = np.linalg.inv(np.eye(20) + np.outer(alone, alone))
         normal += rows.T @ weight @ rows
         right += rows.T @ weight @ seen
-        # as the fit of an image has it: in units of a gain's root, which was made a while ago
+        # as in the fit of an image: in units of the root of an earlier gain
         gain = dataclasses.replace(before, known=1.2 * before.known)
         open_ = rows @ gain.root
         left = np.linalg.inv(np.eye(MODES + 1) + open_.T @ open_)
@@ -153,7 +153,8 @@ def test_the_camera_estimate_equals_the_fit_of_all_images():
 
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 def test_overexposed_references_are_refused(sensor):
-    """White around most circles, so that their size goes with the light; 20 % more is none."""
+    """Most circles are surrounded by white, so that their size follows the light; with 20 % more
+    light no circle is left."""
     images = membrane_images.sequence(sensor)
     perception = StatefulPipeline.of(load_sensor(sensor))
     bright, white = (

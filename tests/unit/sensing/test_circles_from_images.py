@@ -1,5 +1,5 @@
-"""Circles of photographs: many small ones on a smooth surface help each other, and only there;
-clipped and glared ones."""
+"""Tests of circles in photographs: small circles on a smooth surface improve each other's depth;
+clipped circles and glare."""
 
 import numpy as np
 import pytest
@@ -91,7 +91,7 @@ def test_circles_at_independent_depths_are_not_smoothed():
 def test_a_circle_that_does_not_belong_keeps_its_depth():
     alone, _ = poses(SURFACES["cylinder"], 3)
     p = alone.p_CM.copy()
-    p[0] /= 2  # twice the radius, taken for the same
+    p[0] /= 2  # twice the radius, assumed equal
     odd = CirclePoses(alone.uv_px, p, alone.n_C, p, alone.n_C_alt, alone.cov_p, alone.status)
     smooth = smoothed(odd)
     np.testing.assert_array_equal(smooth.p_CM[0], p[0])
@@ -135,7 +135,7 @@ def test_bright_circles_and_large_ones():
     # rounding in the detector only
     np.testing.assert_allclose(dark.poses.p_CM, bright.poses.p_CM, atol=1e-5)
     assert not dark.overexposed and not bright.overexposed
-    assert "depth" not in dark.shared  # 8 px: each knows its depth itself
+    assert "depth" not in dark.shared  # 8 px: each circle determines its depth alone
     assert "depth" in detect_circles(image, CAMERA, R, neighbours="always").shared
 
 
@@ -183,8 +183,8 @@ def test_blur_does_not_change_the_size(radius_px, blur):
     z = found.p_CM[:, 2]
     sd = np.sqrt(found.cov_p[:, 2, 2])
     ok = found.status == "ok"
-    # depths lie within 2 %; blur taken for size makes them 5 to 30 % nearer; 3.5 sd happens once in
-    # 40 runs of 50
+    # depths are within 2 %; blur misinterpreted as size makes them 5 to 30 % closer; 3.5 sd happens
+    # once in 40 runs of 50
     assert (np.abs(z[ok] / depth - 1) < 0.02 + 3.5 * sd[ok] / depth).all()
 
 

@@ -1,4 +1,4 @@
-"""Gauge pressure for which a shape estimator is made."""
+"""Tests of the gauge pressure of a shape estimator."""
 
 import math
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""The flat reference finds a camera that sits askew and markers of the wrong size."""
+"""Tests of the flat reference: a tilted camera and markers of another size are estimated."""
 
 from dataclasses import replace
 

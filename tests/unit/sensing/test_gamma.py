@@ -59,7 +59,7 @@ def test_gamma_is_estimated_from_the_circles_and_corrected(gamma):
 def test_a_wrong_gamma_is_reported_and_widens_the_standard_deviation():
     found = detect_circles(encoded(2.2), CAMERA, R)
     error, normal = depth_errors(found)
-    assert error.mean() > 0.3  # dark circles look small and far away
+    assert error.mean() > 0.3  # dark circles appear small and far away
     assert found.nonlinear and found.assumed == 1 and (normal**2).mean() < 3
     overcorrected = detect_circles(encoded(1.0), CAMERA, R, gamma=2.2)
     assert overcorrected.nonlinear and depth_errors(overcorrected)[0].mean() < -0.3
@@ -67,8 +67,8 @@ def test_a_wrong_gamma_is_reported_and_widens_the_standard_deviation():
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_compression_widens_the_standard_deviation(gamma):
-    """JPEG changes the form of the edges. Of quality 80, a linear image seemed to have a gamma of
-    1.39 +- 0.13, and was reported as nonlinear. A real gamma of 2.2 still is."""
+    """JPEG changes the form of the edges. At quality 80, the estimated gamma of a linear image was
+    1.39 +- 0.13, reported as nonlinear. A real gamma of 2.2 is still reported."""
     encoding = [cv2.IMWRITE_JPEG_QUALITY, 80]
     image = cv2.imdecode(cv2.imencode(".jpg", encoded(gamma), encoding)[1], cv2.IMREAD_GRAYSCALE)
     found = detect_circles(image, CAMERA, R)

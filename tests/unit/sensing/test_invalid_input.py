@@ -1,4 +1,4 @@
-"""Tests of the chain with unusable input from callers: package errors of one line each, or a
+"""Tests of the pipeline with unusable input from callers: package errors of one line each, or a
 status."""
 
 from dataclasses import replace
@@ -91,7 +91,8 @@ def test_a_radius_that_is_not_finite_is_reported():
 
 
 def enlarged(image, at, radius):
-    """A grey disc of this radius, px, over the marker at `at`: it looks larger, and thus nearer."""
+    """Draw a gray disc of this radius, px, over the marker at `at`, which then appears larger and
+    closer."""
     cover = np.zeros(image.pixels.shape, np.uint8)
     center = [round(16 * x) for x in at]
     cv2.circle(cover, center, round(16 * radius), 255, -1, shift=4)
@@ -103,8 +104,8 @@ def enlarged(image, at, radius):
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("larger", [1.12, 1.5])
 def test_a_speck_on_a_marker_loses_only_that_marker(sensor, larger):
-    """A speck costs one marker: forces change by no more than one marker of 16 and two sd, 25
-    mN."""
+    """A speck removes one marker: forces change by at most the effect of one marker of 16 and two
+    sd, 25 mN."""
     design = load_sensor(sensor)
     images = membrane_images.sequence(sensor)
     sensing_pipeline = SensingPipeline(design)

@@ -1,4 +1,4 @@
-"""A sensor with fiducials: the camera is known in every image, whatever has become of it."""
+"""Tests of a sensor with fiducials: the camera is estimated in every image after any change."""
 
 import re
 from dataclasses import replace
@@ -94,7 +94,7 @@ def test_a_camera_change_is_reported():
     table = {"image_shift_px": [4.0, 3.0], "rotation_deg": 0.3, "scale_percent": 0.2}
     camera = touches(faulty(table), loads=3)[2][-1].camera
     assert camera.shift == pytest.approx((4.0, 3.0), abs=0.03)
-    # a picture turned clockwise is a scene turned against the clock
+    # a clockwise rotation of the image is a counterclockwise rotation of the scene
     assert np.degrees(abs(camera.turn)) == pytest.approx(0.3, abs=0.005)
     assert camera.scale == pytest.approx(0.002, abs=1e-4)
     assert camera.misfit < 3
@@ -126,7 +126,8 @@ def test_circle_growth_by_the_gray_level_is_corrected_exactly():
 
 
 def estimate_after_loss(sensor, fraction, load):
-    """First and fourth touch, less the load, once a share of the gas has gone; without a gauge."""
+    """Return first and fourth force minus the load after the loss of a fraction of the gas, without
+    a pressure sensor."""
     design = load_sensor(sensor)
     rubber = InverseMembrane(design).membrane
     rest = rubber.equilibrium(Gas(membrane_images.GAUGE))
@@ -147,8 +148,9 @@ def estimate_after_loss(sensor, fraction, load):
 @pytest.mark.parametrize("load", [0.0, 0.4])
 @pytest.mark.parametrize("fraction", [0.01, 0.03])
 def test_lost_gas_without_a_pressure_sensor_is_distinguished_from_a_camera_change(fraction, load):
-    """A lower bulge is a camera farther away, gas that is gone, or a load. With the first known,
-    the first image after the loss is right; without, 3 % are half a newton."""
+    """A lower bulge is caused by a more distant camera, lost gas, or a load. With a known camera,
+    the first image after the loss is accurate; otherwise a loss of 3 % is an error of half a
+    newton."""
     for off, sd in estimate_after_loss(SENSOR, fraction, load):
         assert abs(off) < 0.03
         assert abs(off) < 5 * sd
@@ -157,7 +159,7 @@ def test_lost_gas_without_a_pressure_sensor_is_distinguished_from_a_camera_chang
 
 
 def covered(*ids, of=DESIGN):
-    """A change of the picture that blackens a square over these fiducials."""
+    """Return an image change that blackens a square over these fiducials."""
     sensor, _ = started()
     places = sensor.pipeline.detector.known._finder.places_px[list(ids)]
 
@@ -220,7 +222,7 @@ def test_fiducials_are_not_detected_as_markers():
     sensor, images = started()
     shifted = faulty({"image_shift_px": [8.0, 6.0]})
     pixels = shifted(images[3]).pixels.copy()
-    pixels[:, 75:150] = 150  # the first column of markers is gone
+    pixels[:, 75:150] = 150  # the first column of markers is removed
     markers, _ = sensor.pipeline.detect_markers(sensor.state, Image(pixels, images[3].time))
     assert len(markers.fiducials) == 10
     assert set(markers.ids) == {k for k in range(81) if k % 9}

@@ -30,8 +30,8 @@ def seen(p_SM, rng, missing=0.0, spurious=0, noise=20e-6):
 
 
 def pressed(design, depth=4e-3, shear=1e-3):
-    """Markers of a membrane pressed off its centre: heights of a bell, drawn in towards its middle,
-    and sheared."""
+    """Return markers of a membrane pressed off its center: bell-shaped heights, contracted toward
+    the center, and sheared."""
     p = design.markers.p_SM.copy()
     d = p[:, :2] - [3e-3, -2e-3]
     bell = np.exp(-(d**2).sum(axis=1) / (2 * 5e-3**2))
@@ -74,7 +74,7 @@ def test_sixty_percent_missing_and_others_spurious(sensor):
         assert len(np.unique(found[found >= 0])) == np.sum(found >= 0)
     # a wrong identity is a false displacement of a pitch; a missing one costs little
     assert wrong == 0
-    # a spurious circle may lie nearer to a marker's place than the marker itself
+    # a spurious circle may be closer to the expected position than the marker itself
     assert right >= 0.97 * total
 
 

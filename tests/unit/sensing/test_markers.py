@@ -200,7 +200,7 @@ def test_specks_and_scratches(circles):
     truth = np.array([c.p_C for c in circles])
     uv = optics.project(CAMERA, truth)
     far = np.linalg.norm(uv[:, None] - poses.uv_px, axis=2)
-    # a speck of 4 px looks as if it were further away than that
+    # a speck of 4 px appears to be farther away
     size = np.linalg.norm(poses.p_CM, axis=1) < 0.08
     found = 0
     for i, j in zip(*np.nonzero((far < 10) & size & (poses.status == "ok")), strict=True):
@@ -322,8 +322,7 @@ def test_lens_and_glass(camera):
 
 
 def test_image_fit_and_profiles_agree(circles):
-    """Two estimators, one truth: profiles and the fit to the image itself differ by less than their
-    noise."""
+    """Profiles and the fit to the image differ by less than their noise."""
     image = marker_scenes.image(CAMERA, circles)
     found = markers.detect(image)
     fit = edge_fit.fit(

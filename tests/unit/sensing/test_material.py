@@ -83,7 +83,7 @@ def standard_linear_solid(stiffness, arm=0.0, tau=1.0):
 
 
 def yielding(stiffness, yield_force, viscosity):
-    """An elastic part in series with one that flows at (F - F_y) / c and never comes back."""
+    """Return an elastic part in series with a plastic part that flows at (F - F_y) / c."""
 
     def law():
         flowed = 0.0
@@ -189,8 +189,8 @@ def test_with_noise_the_kind_is_undecided_and_not_wrong():
 
 
 def face(height, slope, centroid):
-    """One sensor that a plane touches: 12 x 12 mm around `centroid`, of a membrane of 40 x 30
-    mm."""
+    """Return a sensor in contact with a plane: 12 x 12 mm around `centroid`, of a membrane of 40 x
+    30 mm."""
     x = np.linspace(-0.02, 0.02, 41)
     y = np.linspace(-0.015, 0.015, 31)
     z = height + slope * np.meshgrid(x, y)[0]

@@ -122,8 +122,8 @@ def test_a_body_explains_sharpness_and_drag_from_all_sides():
 
 
 def test_a_membrane_that_moves_sideways_drags():
-    """The simulated sheet's own drag: damping of 81 s/m^2 times its stiffness, on every m^2,
-    against the frame."""
+    """The drag of the simulated membrane relative to the frame is a damping of 81 s/m^2 times its
+    stiffness per m^2."""
     estimated = replace(AT_REST, velocity=np.array([0.01, 0.0, 0.02]))
     area = DENSE.frame.length * DENSE.frame.width
     stiffness = DENSE.membrane.young * DENSE.membrane.thickness

@@ -24,7 +24,7 @@ PARTS = {
 
 @pytest.fixture(scope="module", params=["dense", "paper16"])
 def pressed(request):
-    """A view of a ball of 4 mm radius that presses 8 mm to the right, with 0.12 N."""
+    """Return an image of a ball of 4 mm radius that presses with 0.12 N, 8 mm to the right."""
     design = load_sensor(request.param)
     world = PressWorld(design, Indenter("sphere", 4e-3), at=(8e-3, 0.0))
     view = View(world, design)

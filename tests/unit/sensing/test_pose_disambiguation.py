@@ -16,7 +16,7 @@ PITCH = 0.009
 
 
 def membrane(slope, bend, rows=5, columns=6):
-    """Circles on z = 0.11 m + slope . (x, y) + bend x^2/2, with the sheet's own normals."""
+    """Circles on z = 0.11 m + slope . (x, y) + bend x^2/2, with the normals of the surface."""
     x, y = (
         PITCH * c.ravel()
         for c in np.meshgrid(
@@ -40,8 +40,8 @@ def right(found, circles):
 
 
 def test_neighbours_on_a_membrane_decide_even_for_the_more_tilted_pose():
-    """At the image's edges the right pose of a tilted sheet is often the one that is more tilted to
-    the camera's axis."""
+    """At the image edges the correct pose on a tilted membrane is often the pose with more tilt to
+    the camera axis."""
     for slope, bend in (((0.5, 0.3), 0.0), ((-0.2, 0.4), 15.0)):
         circles = membrane(slope, bend)
         decided, sure = right(
@@ -71,7 +71,7 @@ def test_an_error_that_all_normals_share_does_not_hide_the_plane():
 
 @pytest.mark.slow
 def test_confidence_for_independent_tilts_equals_the_success_rate():
-    """16 circles each in 6 images, tilted by 0 to 60 degrees: the binomial sd of the share is
+    """16 circles each in 6 images, tilted by 0 to 60 degrees: the binomial sd of the fraction is
     0.045."""
     decided = []
     sure = []
@@ -88,15 +88,15 @@ def test_confidence_for_independent_tilts_equals_the_success_rate():
         sure = [*sure, *two]
     assert len(decided) > 90
     assert abs(np.mean(decided) - np.mean(sure)) < 0.12
-    assert 0.55 < np.mean(sure) < 0.85  # it does not pretend to know
+    assert 0.55 < np.mean(sure) < 0.85  # the confidence is low
     # neighbours without a common surface change nothing: the less tilted pose comes first
     tilts = [np.stack([found.poses.n_C[:, 2], found.poses.n_C_alt[:, 2]]) for found in images]
     assert np.mean(np.concatenate([n[0] < n[1] for n in tilts])) > 0.97
 
 
 def test_one_circle_alone_has_both_poses_with_their_covariances():
-    """The nearer of the two is right within its own error bars; swapped, the other one's are those
-    of `estimate_poses`."""
+    """The closer pose is accurate within its standard deviations; those of the other pose equal
+    `estimate_poses` when swapped."""
     truth = marker_scenes.Circle(
         np.array([0.012, 0.006, 0.05]), np.array([np.sin(0.6), 0.0, -np.cos(0.6)]), 0.0015
     )

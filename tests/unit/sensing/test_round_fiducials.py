@@ -13,7 +13,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 from mjtactile.sim.rendering.image_faults import FaultyImage
 from tests import membrane_images
 
-ANGLES = np.radians([0, 25, 50, 130, 155, 180, 205, 230, 310, 335])  # in the picture, with room
+ANGLES = np.radians([0, 25, 50, 130, 155, 180, 205, 230, 310, 335])  # in the image, with a margin
 
 
 def write(folder, radius_mm, quiet_zone_mm=0.45):

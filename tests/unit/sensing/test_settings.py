@@ -38,7 +38,7 @@ def test_every_setting_has_a_description_and_a_source():
                 allowed = field.metadata["file"]
                 for value in np.atleast_1d(field.default):
                     assert allowed.low <= value <= allowed.high, field.name
-                # a sensitivity is asked at half and at twice the value
+                # sensitivities are evaluated at half and twice the value
                 assert allowed.integer or allowed.low < allowed.high / 4, field.name
 
 
@@ -132,8 +132,7 @@ def test_settings_are_recorded_as_json():
 
 
 def test_every_stage_uses_its_settings():
-    """One number of each stage that a grasp does not come to, turned so far that its verdict
-    turns."""
+    """One setting of each stage that a grasp does not reach is changed until its result changes."""
     sample = np.arange(60) / 30
     # 2 kN/m, pressed for 0.8 s, then held
     force = np.minimum(sample, 0.8)

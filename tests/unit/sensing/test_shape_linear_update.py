@@ -99,7 +99,7 @@ def test_noise_moves_the_linear_fit_by_its_covariance(forward):
     [
         ("ball", BALL + [0, 0, -0.3, 0]),  # deeper by 0.3 mm
         ("ball", BALL + [1.0, 0, 0, 0]),
-        ("disc", DISC),  # another shape at the same place
+        ("disc", DISC),  # another shape at the same position
     ],
 )
 def test_another_contact_is_refused(forward, name, theta):

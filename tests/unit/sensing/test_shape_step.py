@@ -21,7 +21,7 @@ def standing(residual):
 
 
 def asked(scale, seed):
-    """A step on an image of 20 markers, and the least squares that it is to solve: (rows, right
+    """Return a step on an image of 20 markers, and its least-squares problem: (rows, right
     sides)."""
     rng = np.random.default_rng(seed)
     J = rng.normal(size=(20, 4)) * 30
@@ -52,4 +52,6 @@ def test_a_long_step_stays_where_membranes_are_straight(seed):
     assert step.cut and step.promised == pytest.approx(gained, rel=1e-9)
     best = lsq_linear(rows, sides, (-maximum, maximum)).x
     could = sides @ sides - np.square(rows @ best - sides).sum()
-    assert step.promised > 0.3 * could  # one number is held after the other, or all are cut short
+    assert (
+        step.promised > 0.3 * could
+    )  # parameters are fixed successively, or all steps are shortened

@@ -1,5 +1,5 @@
-"""Slip on made-up sequences whose answer is known: patches that stick, slide, roll, turn, and shake
-within their noise."""
+"""Tests of slip on synthetic sequences with a known state: patches that stick, slide, roll, rotate,
+and move within their noise."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, 
 
 
 def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
-    """Nothing goes anywhere, as under a face that is larger than the contact; at a fifth of the
+    """The patch does not move, as under a face that is larger than the contact; at a fifth of the
     file's friction. Below a fifth of the normal force it rolls, or is as smooth as nothing dry."""
     slides = np.r_[np.full(8, STICKS), np.full(8, SLIDES), np.full(4, STICKS)]
     for load, seen in ((0.25, "slipping"), (0.15, "sticking")):
@@ -250,8 +250,8 @@ def test_a_slip_that_ends_is_over(sensor):
 
 
 def test_partial_slip_is_allowed_for_and_gross_slip_after_it_is_not(sensor):
-    """Cattaneo: while its rim slides, the patch goes by a share of the rubber's way; then the
-    rubber stops, and it goes on."""
+    """Cattaneo: while its rim slides, the patch moves by a fraction of the rubber's motion; then
+    the rubber stops, and the patch continues."""
     grown = ramp(10, 20, 20)
     rim = 1.2e-3 * grown
     shear = NORMAL * (0.3 + 0.1 * grown)
@@ -263,7 +263,7 @@ def test_partial_slip_is_allowed_for_and_gross_slip_after_it_is_not(sensor):
 
 
 def test_rolling_and_turning_do_not_slip(sensor):
-    """A patch that wanders without shear rolls; one that turns with the rubber sticks."""
+    """A patch that moves without shear rolls; a patch that rotates with the rubber sticks."""
     place = np.linspace(-2e-3, 2e-3, 40)
     assert set(states(verdicts(sensor, np.full(40, 0.02 * NORMAL), place))) == {"sticking"}
     reported = verdicts(

@@ -44,7 +44,7 @@ def test_a_body_that_slides_along_the_shear_slips():
     moved, after = with_motion(STICKS, history(), motion((10e-3, 0.0)))
     assert moved.state == "slipping" and moved.stick_ratio == 0
     assert moved.velocity == pytest.approx([10e-3, 0.0])
-    # one image more, 0.1 s of 10 mm/s
+    # one more image, 0.1 s of 10 mm/s
     assert moved.distance == after.distance == pytest.approx(1e-3)
 
 

@@ -186,7 +186,7 @@ def test_membrane_under_a_ball(sensor, height, gain):
     for seed in range(3):
         markers = measured(design, shape, seed)
         surface = fitter.fit(markers)
-        # the dense layout's share of the project's goal of 0.03 mm
+        # the dense layout's part of the project's goal of 0.03 mm
         assert rms(surface, shape) < height
         assert rms(reconstruct_delaunay(design, markers.p_SM), shape) > gain * rms(surface, shape)
         assert abs(surface.area - area) < 4 * surface.area_sd

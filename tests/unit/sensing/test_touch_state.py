@@ -1,4 +1,5 @@
-"""Touch or none, and the zero that follows drift: on made-up frames whose answer is known."""
+"""Tests of contact detection and of the zero that follows drift, on synthetic frames with known
+contact."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ def sensor():
             estimator.membrane.state(np.zeros((3, estimator.membrane.count))), 0.0
         )
     )
-    assert np.abs(c).max() < 1e-9  # without pressure a sheet is flat
+    assert np.abs(c).max() < 1e-9  # without pressure a membrane is flat
     markers = seen(estimator, estimator.membrane.equilibrium(Gas(SUPPLY)))
     return estimator, estimator.rest_state(markers, SUPPLY)
 
@@ -39,13 +40,13 @@ def seen(estimator, c, rng=None, noise=NOISE):
     n = len(p)
     if rng is not None:
         p = p + noise * rng.standard_normal(p.shape)
-    # normals: not known
+    # normals: unknown
     return Markers(np.arange(n), p, np.full((n, 3), np.nan), np.tile(np.diag(noise**2), (n, 1, 1)))
 
 
 def pressed(estimator, rest, force, place=(0.0, 0.0), radius=5e-3):
-    """Coefficients and nodal tractions (3, J) Pa of the sheet under a parabolic patch with
-    resultant (3,) N."""
+    """Return coefficients and nodal tractions (3, J), Pa, of the membrane under a parabolic patch
+    with resultant (3,), N."""
     traction = parabola(estimator, force, place, radius)
     load = traction @ np.kron(*estimator._grid[2:4]).T
     return estimator.membrane.equilibrium(
@@ -127,7 +128,7 @@ def test_zero_follows_a_warming_chamber_and_the_force_is_accurate(sensor):
     warm_rest = replace(rest, gas=warm, c=c)
     c_pressed, _ = pressed(estimator, warm_rest, np.array([0, 0, -0.5]))
     estimated = estimator.traction(estimator.estimate(seen(estimator, c_pressed), now)).wrench[2]
-    assert estimated == pytest.approx(-0.5, abs=0.02)  # 4 x 4 markers, asked 0.04
+    assert estimated == pytest.approx(-0.5, abs=0.02)  # 4 x 4 markers, required: 0.04
 
 
 @pytest.mark.parametrize("kelvin", [0.0, 0.1])
@@ -241,7 +242,7 @@ def loaded(sensor):
 
 
 def torn(markers):
-    """Places that no sheet has: 3 mm from where they were, in turn to either side."""
+    """Return impossible positions: displaced by 3 mm, alternately to either side."""
     off = np.zeros_like(markers.p_SM)
     off[:, 0] = 3e-3 * (-1.0) ** np.arange(len(markers))
     return replace(markers, p_SM=markers.p_SM + off)
@@ -285,8 +286,8 @@ def test_a_first_image_has_the_uncertainty_of_an_impact(loaded):
 
 
 def light_estimate(sensor, **settings):
-    """Force of ten images of 0.05 N between four markers, after ten of nothing, and its sd, through
-    a coarse camera."""
+    """Return the force of ten images of 0.05 N between four markers, after ten without contact, and
+    its sd, with a coarse camera."""
     estimator, _ = sensor
     coarse = 5 * NOISE
     sensing_pipeline = SensingPipeline(load_sensor("paper16"), settings=DEFAULTS.override(settings))
@@ -321,8 +322,8 @@ def test_a_light_touch_in_the_first_image_is_detected(sensor):
 
 
 def parabola(estimator, force, place, radius=5e-3):
-    """Nodal tractions (3, J) Pa of a parabolic patch with resultant (3,) N at `place` (2,) m of the
-    flat sheet."""
+    """Return nodal tractions (3, J), Pa, of a parabolic patch with resultant (3,), N, at `place`
+    (2,), m, of the flat membrane."""
     weight = np.clip(1 - np.sum((estimator.nodes - place) ** 2, axis=1) / radius**2, 0, None)
     return np.outer(force, weight / (weight @ estimator.node_area))
 

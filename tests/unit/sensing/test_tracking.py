@@ -26,7 +26,7 @@ def short(monkeypatch):
 def test_matches_are_correct_and_missed_at_most_once(seed):
     row = bench.sequence_row(seed)
     assert row["wrong"] == row["missed_twice"] == 0
-    # the ends of a fit differ by where it began: 0.1 sd on a calm membrane
+    # results of a fit depend on its start: 0.1 sd on a membrane at rest
     assert row["difference_sd"] < (0.3 if row["kind"] == "undisturbed" else 1.0)
     # of 24: the first and every 16th are
     assert row["searched"] <= (3 if row["kind"] == "undisturbed" else 23)
@@ -65,7 +65,7 @@ def test_full_search_is_used_after_lost_tracks(monkeypatch):
     assert again(image.pixels, image.time - 0.03, tracks)  # time runs backwards
     assert again(image.pixels, later, replace(tracks, images_before_search=0))  # it was long ago
     assert again(np.roll(image.pixels, 2, axis=1), later, tracks)  # it moved by 2 px
-    assert again(np.full_like(image.pixels, 128), later, tracks)  # nothing is there any more
+    assert again(np.full_like(image.pixels, 128), later, tracks)  # no marker is left
     covered = image.pixels.copy()
     u, v = found.center_px[0].astype(int)
     covered[v + 9 : v + 16, u - 4 : u + 4] = 200

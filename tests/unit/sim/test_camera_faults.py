@@ -66,7 +66,7 @@ STRONG = {
 
 @pytest.fixture(scope="module")
 def images():
-    """The flat sheet, and one period later the sheet 2 mm higher."""
+    """Provide images of the flat membrane, and one period later 2 mm higher."""
     renderer = Renderer(DESIGN, seed=1)
     low = DESIGN.markers.p_SM
     return [renderer.render(low, UP, 0.0), renderer.render(low + [0, 0, 2e-3], UP, 1 / 30)]
@@ -77,7 +77,7 @@ def faults(**table):
 
 
 def shown(images, seed=0, **table):
-    """The second of the pictures as it arrives after the first."""
+    """Return the second image as received after the first."""
     camera = FaultyImage(faults(**table), seed)
     return [camera(view) for view in images][-1].pixels.astype(float)
 
@@ -137,7 +137,7 @@ def test_noise_reduction_and_rolling_shutter_mix_the_last_two_images(images):
     first, second = [view.pixels.astype(float) for view in images]
     half = shown(images, noise_reduction_percent=50)
     assert np.abs(half - (first + second) / 2).max() <= 0.5
-    rolled = shown(images, rolling_shutter_ms=1e3 / 30)  # the first row is a picture old
+    rolled = shown(images, rolling_shutter_ms=1e3 / 30)  # the first row is one image old
     assert np.abs(rolled[0] - first[0]).max() <= 0.5
     center = len(rolled) // 2
     assert np.abs(rolled[center] - (first + second)[center] / 2).max() <= 0.5
@@ -177,7 +177,7 @@ def test_faults_are_sampled_for_each_finger_by_seed():
 def test_faults_without_images_are_refused():
     own = AsBuiltSensor("left", camera=CameraFaults(gamma=1.3))
     with pytest.raises(InputError, match="need images"):
-        SimCamera(None, 0, SAMPLED - {Effect.IMAGES}, own)  # it is refused before it looks
+        SimCamera(None, 0, SAMPLED - {Effect.IMAGES}, own)  # refused before any file is read
 
 
 def test_the_page_has_every_field_with_its_range():

@@ -70,7 +70,7 @@ def test_effects_are_chosen_for_the_requested_accuracy_only(table):
     """Real time with a fine mesh must not switch on effects that only that mesh's small error calls
     for."""
     assert Fidelity.for_force_error(0.02, table).asked == 0.02
-    assert Fidelity.for_force_error(1e-4, table).asked == 1e-4  # also where nothing reaches it
+    assert Fidelity.for_force_error(1e-4, table).asked == 1e-4  # also if no level reaches it
     assert Fidelity.for_real_time(table).asked == DEFAULT_FORCE_ERROR
 
 
@@ -122,7 +122,7 @@ def test_shipped_table_can_be_read_and_orders_by_mesh():
         ("realtime", "auto", "egg", True),
         ("", "auto", "egg", True),
         ("0.03N", "auto", "vial", True),  # it has edges: its error was not measured
-        ("0.0001N", "auto", "egg", True),  # nothing is that good, the finest mesh comes closest
+        ("0.0001N", "auto", "egg", True),  # no level is sufficient, the finest mesh is closest
     ],
 )
 def test_a_round_object_may_use_the_quasistatic_membrane(

@@ -1,4 +1,4 @@
-"""Fiducials in the simulated picture."""
+"""Tests of fiducials in the simulated image."""
 
 import tomllib
 
@@ -61,8 +61,8 @@ def test_fiducials_are_projected_through_lens_and_glass(design, place, size):
 
 
 def test_fiducials_change_only_their_own_pixels():
-    """Within the opening the picture is that of a sensor without them; the lip has the grey level
-    of a membrane there."""
+    """Within the opening the image is that of a sensor without fiducials; the lip has the gray
+    level of a membrane."""
     plain = load_sensor("dense")
     design = load_sensor("dense_fiducials")
     ours, theirs = (

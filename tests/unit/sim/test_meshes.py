@@ -1,5 +1,5 @@
-"""Mesh files: read alike in every format, judged for hollows, cut into convex parts, and never
-silently a hull."""
+"""Tests of mesh files: all formats give the same solid, hollows are detected and decomposed into
+convex parts, and a hull is reported."""
 
 import struct
 import sys

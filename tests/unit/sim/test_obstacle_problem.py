@@ -89,7 +89,7 @@ def test_contact_area_of_a_face_and_without_contact():
 
 @pytest.mark.parametrize("depth", [8e-3, 13e-3])
 def test_the_contact_area_is_at_most_that_of_the_lower_half_of_the_ball(depth):
-    # the membrane beside a deep ball is steeper than the ball
+    # the membrane next to a deep ball is steeper than the ball
     world = PressWorld("dense", Indenter("sphere", 5e-3))
     world.inflate(world.design.chamber.supply_gauge, seal=True)
     world.press(depth)

@@ -88,7 +88,7 @@ def test_triangles_pass_own_links_and_all_other_pairs_stay(bits):
     for _ in range(2):  # a reset of the sensor binds it again
         sensor = tip.bind(model, data)
     after = touches(*[model.geom_contype, model.geom_conaffinity] * 2)[named]
-    vertices = sensor.vertex_geom_ids  # these touch nothing with triangles
+    vertices = sensor.vertex_geom_ids  # no contacts with triangles
     others = np.setdiff1d(np.arange(model.ngeom), vertices)
     assert np.array_equal(after[:, others], before[:, others])
     flex = [sensor.flex_id]

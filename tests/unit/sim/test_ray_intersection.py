@@ -1,4 +1,4 @@
-"""Lines that enter geoms, against MuJoCo's own rays, one at a time."""
+"""Tests of lines that enter geoms, against single rays of MuJoCo."""
 
 import mujoco
 import numpy as np

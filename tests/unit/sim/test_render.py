@@ -129,7 +129,7 @@ def test_center_of_darkness_has_no_bias():
         grid = np.mgrid[:h, :w]
         center = (grid * dark).sum(axis=(1, 2)) / dark.sum()
         reference = (grid * lit).sum(axis=(1, 2)) / lit.sum()
-        # asked for; a detector's noise is 0.02 px
+        # the requirement; a detector's noise is 0.02 px
         np.testing.assert_allclose(center, reference, atol=0.005)
         # area: 1e-3 of r = 20 px is 0.01 px of radius
         assert dark.sum() == pytest.approx(lit.sum(), rel=1e-3)

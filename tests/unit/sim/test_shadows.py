@@ -144,10 +144,10 @@ def test_no_shadow_in_a_convex_bulge(steepness):
         np.maximum(1 - (xy[..., 0] / 20.1e-3) ** 2 - (xy[..., 1] / 20.1e-3) ** 2, 0)
     )
     clear = clearance(xy, z, RING)
-    round_part = z > 0  # beyond it the sheet is flat, and the bulge's edge no longer convex
+    round_part = z > 0  # beyond it the membrane is flat, and the bulge's edge no longer convex
     assert clear[:, round_part].min() >= 1
     dent = clearance(xy, -6 * z, RING)
-    assert dent.min() < -1  # the same turned inward is in its own light
+    assert dent.min() < -1  # the inverted bulge shadows itself
 
 
 @pytest.mark.parametrize(("slope", "found"), [(0.85, False), (0.95, True)])
@@ -159,7 +159,7 @@ def test_the_search_starts_where_a_slope_is_as_steep_as_a_ray(slope, found):
 
 
 def test_irradiance_is_inverse_square_with_both_cosines():
-    """On a tilted plane, against vectors: cos at the LED x cos at the sheet / distance^2."""
+    """On a tilted plane, against vectors: cos at the LED x cos at the membrane / distance^2."""
     xy = grid(1e-3)
     z = 0.3 * xy[..., 0] - 0.2 * xy[..., 1]
     got = irradiance(xy, z, RING)
@@ -196,7 +196,7 @@ def test_symmetric_scene_gives_a_symmetric_image():
     p = DENSE.markers.p_SM.copy()
     p[:, 2] = dented(11e-3, at=(14e-3, 0.0))[:, 2] + dented(11e-3, at=(-14e-3, 0.0))[:, 2]
     even, shaded, _ = scene(p)
-    assert (shaded / even).min() < 0.7  # deep enough to throw shadows
+    assert (shaded / even).min() < 0.7  # deep enough to cast shadows
     # mirrored nodes and pixels agree up to rounding and the table of cv2.remap: 1/32 of a node or
     # block, with light that falls from 1 to 0.5 over a node at worst
     np.testing.assert_allclose(shaded, shaded[:, ::-1], atol=0.016)
@@ -213,7 +213,7 @@ def test_the_wall_of_the_frame_casts_its_shadow_onto_the_membrane():
     design = replace(DENSE, leds=replace(DENSE.leds, count=1, ring_radius=led))
     lens = optics.Camera.from_design(design.camera, design.glass)
     light = ShadowedLight(design, lens)
-    light._p_SL = np.array([[led, 0.0, -DOWN]])  # a ring of one stands at 180 degrees
+    light._p_SL = np.array([[led, 0.0, -DOWN]])  # a ring of one LED is at 180 degrees
     field = light.field(design.markers.p_SM)
     border = led - (led - 20e-3) * DOWN / (DOWN - 20e-3)
     clear = wall_clearance(design.frame, 20e-3, grid(1e-3), np.zeros((31, 41)), light._p_SL)[0]
@@ -221,7 +221,7 @@ def test_the_wall_of_the_frame_casts_its_shadow_onto_the_membrane():
     assert crossing(-grid(1e-3)[15, ::-1, 0], clear[15, ::-1], 0.0) == pytest.approx(
         -border, abs=1e-6
     )
-    # in the picture: half of the step between both sides of the penumbra, which is 2 x 1.5 mm x t /
+    # in the image: half of the step between both sides of the penumbra, which is 2 x 1.5 mm x t /
     # (D - t) wide
     pixels = np.arange(330.0, 600.0)
     p_CP = np.column_stack([np.linspace(0, 19.5e-3, 400), np.zeros(400), np.full(400, DOWN)])
@@ -235,7 +235,7 @@ def test_the_wall_of_the_frame_casts_its_shadow_onto_the_membrane():
     assert row[x > border + 2.5e-3][0] == pytest.approx(
         1 - design.leds.vignetting / light._loss, abs=1e-3
     )
-    # 2 px; the light's own fall over the penumbra shifts the middle
+    # 2 px; the decrease of the light over the penumbra shifts its center
     assert center == pytest.approx(border, abs=0.15e-3)
 
 
@@ -248,7 +248,7 @@ def test_camera_rays_end_on_the_membrane():
     z = membrane.heights(dented(6e-3, width=5e-3))
     places = light._pixel_coordinates(z, 4)
     uv = optics.project(lens, np.dstack([membrane.xy, z + DOWN]))[4:-4, 4:-4]
-    found = bilinear(places, (uv - 1.5) / 4)  # the middle of the first block of 4 px is at 1.5
+    found = bilinear(places, (uv - 1.5) / 4)  # the center of the first block of 4 px is at 1.5
     expected = np.stack(np.meshgrid(np.arange(41), np.arange(31)), axis=-1)[4:-4, 4:-4]
     # in nodes of 1 mm: bilinear between blocks; without the sheet's height the places were 3 nodes
     # off
@@ -259,7 +259,7 @@ def test_camera_rays_end_on_the_membrane():
 def test_membrane_goes_through_the_markers_and_ends_at_the_frame(node, worst, monkeypatch):
     monkeypatch.setattr(shadows, "_NODE", node)
     p = dented(4e-3, at=(5e-3, -3e-3), width=6e-3)
-    p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the sheet too
+    p[:, :2] += 5e-4 * np.sin(200 * p[:, 1::-1])  # along the membrane, too
     membrane = SmoothMembrane(DENSE)
     z = membrane.heights(p)
     # bilinear between nodes: 1/8 node^2 x curvature, 2 x 4 mm / (6 mm)^2 = 3e-5 at 1 mm. It is

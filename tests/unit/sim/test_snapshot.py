@@ -1,4 +1,4 @@
-"""A world goes back to where it was: the same steps again give the same bits."""
+"""Test of snapshots of a world: repeated steps are bit-identical."""
 
 import numpy as np
 
@@ -7,8 +7,8 @@ from mjtactile.sim.scenes.grasp_world import GraspWorld
 
 
 def test_a_restored_snapshot_repeats_the_simulation():
-    """In contact, with rubber, gas and friction that remember: one forgotten number would show in
-    the last digits."""
+    """The scene has contact and history of rubber, gas and friction: one missing state variable
+    would change the last digits."""
     world = GraspWorld("dense", "egg", opening=0.045)
     for number in range(2):
         world.sensors[number].open_valve()

@@ -11,8 +11,8 @@ DIRECTIONS = 4
 
 
 def _lattice_depth(count: int) -> float:
-    """Depth under a unit force in the middle of a square lattice of `count` free points a side,
-    tension 1, cell 1."""
+    """Return the depth under a unit force at the center of a square lattice of `count` free points
+    per side, tension 1, cell 1."""
     line = diags([-1.0, 2.0, -1.0], [-1, 0, 1], shape=(count, count))
     load = np.zeros(count * count)
     load[count * count // 2] = 1.0
@@ -51,8 +51,8 @@ def test_a_small_ball():
 
 
 def test_a_shallow_cone():
-    """It is left at a sin(angle) = F/(2 pi T); inside the sheet is the cone: ln(mesh/a) + 1, up to
-    the slope 0.05 squared."""
+    """The contact ends at a sin(angle) = F/(2 pi T); inside, the membrane follows the cone:
+    ln(mesh/a) + 1, up to the slope 0.05 squared."""
     load = np.array([0.001])
     depth, radius = subgrid_indentation.depth_beyond_mesh(
         load, np.full((1, DIRECTIONS), 0.05), np.zeros((1, DIRECTIONS))
@@ -64,8 +64,9 @@ def test_a_shallow_cone():
 
 
 def test_a_steep_cone():
-    """The sheet around a cone of 90 degrees, integrated: tension 1 + 2 (1/cos - 1) times sine times
-    radius is the load. It falls by this to a radius R, the mesh by load ln(R/mesh)."""
+    """The membrane around a cone of 90 degrees, integrated: tension 1 + 2 (1/cos - 1) times sine
+    times radius is the load. This gives its depth to a radius R; that of the mesh is load
+    ln(R/mesh)."""
     load = 0.05
     far = 1e-4
     angle = np.geomspace(far, np.pi / 4, 20000)
@@ -81,8 +82,8 @@ def test_a_steep_cone():
 
 
 def test_a_straight_edge_equals_a_row_of_vertices():
-    """A line of equal forces bends sheet and mesh alike, up to the 0.08 of ln(0.198/0.25) + 1 - ln
-    2."""
+    """A line of equal forces deforms membrane and mesh equally, up to the 0.08 of ln(0.198/0.25) +
+    1 - ln 2."""
     slope = np.array([[0.0, 0.7, 1.0, 0.7]])
     load = np.array([0.02])
     assert (

@@ -87,7 +87,7 @@ def test_errors_are_as_large_as_stated():
 
 
 def drawn_from(sampler, pose):
-    """The covariance that errors are drawn from, of the shapes without errors."""
+    """Return the covariance of the sampled errors, for the shapes without errors."""
     from mjtactile.sim.rendering import synthetic_ellipses
 
     _, shape = sampler._true(*pose)

@@ -42,5 +42,5 @@ def test_extents_of_an_ellipsoid(axes):
 def test_extents_of_a_box_are_those_of_its_faces_and_nearly_of_its_corners():
     box = surface("box")
     assert box.extents(np.eye(3)) == pytest.approx(2 * HALF, abs=1e-9)
-    # a corner is met within the last step, along flanks of up to 45 degrees and more
+    # a corner is reached within the last step, along flanks of up to 45 degrees and more
     assert box.extents(AXES) == pytest.approx(2 * HALF @ np.abs(AXES), abs=1e-4)

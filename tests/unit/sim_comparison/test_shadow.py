@@ -40,8 +40,8 @@ COMMANDS = ("leak", "stiffness", "gauge", "opening", "along")
 
 
 def formula(amounts, *, noise=0.0, seed=0):
-    """Two fingers: stiffness scales the force and moves markers, a leak makes pressures fall, the
-    jaws' opening takes force away."""
+    """Return the response of two fingers: stiffness scales the force and moves markers, a leak
+    reduces pressures, the jaws' opening reduces force."""
 
     def of(name):
         return np.broadcast_to(amounts.get(name, (0.0, 0.0)), (2,))
@@ -90,7 +90,7 @@ def test_a_leak_is_reported_for_its_finger():
 
 
 def test_a_jaw_offset_is_separated_from_the_cause():
-    """Jaws that are 0.2 mm off take 0.08 N away; the rubber is softer all the same."""
+    """A jaw offset of 0.2 mm reduces the force by 0.08 N, in addition to softer rubber."""
     shadow = explained(stiffness=(-0.3, -0.3), opening=(2e-4, 2e-4))
     assert named(shadow).cause.name == "stiffness"
     # the spread of the jaws and the noise leave some: half of their effect alone (0.27)
@@ -99,7 +99,7 @@ def test_a_jaw_offset_is_separated_from_the_cause():
 
 
 def test_a_change_without_a_known_cause_is_not_attributed():
-    """Pressure that goes up and down is none of the causes."""
+    """An oscillating pressure is not among the causes."""
     recorded = formula({}, noise=1.0, seed=SEED)
     swing = 200.0 * np.sin(9 * TIME)[:, None]
     odd = replace(recorded, pressure=recorded.pressure + swing)
@@ -173,7 +173,7 @@ def test_a_leak_is_named(tmp_path):
 
 
 class Begins:
-    """The shipped controller, for as long as the recording is looked at."""
+    """Shipped controller for the compared part of the recording."""
 
     def __init__(self, seconds):
         self.controller = load_controller("gentle")
@@ -189,7 +189,7 @@ class Begins:
 
 @pytest.mark.slow(8)
 def test_a_leaking_left_chamber_of_a_gripper_is_named(tmp_path):
-    """The commands of a grasp's beginning, given to a simulated hand without the leak."""
+    """The first commands of a grasp are repeated on a simulated gripper without the leak."""
     scenario = Scenario(seed=SEED, sensor="paper16", effects="-mesh,-images")
     as_built = (AsBuiltSensor("left", leak=0.06 * ML_S_KPA),)
     rig = build_sim_rig(scenario, file=load_sim_rig("sim"), sampled=SampledWorld(as_built=as_built))

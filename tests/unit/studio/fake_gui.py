@@ -1,5 +1,4 @@
-"""Stand-in for Dear ImGui and ImPlot: it stores all texts, and takes the user's actions by
-label."""
+"""Stand-in for Dear ImGui and ImPlot: stores all texts, and applies user actions by label."""
 
 from types import SimpleNamespace
 from unittest.mock import MagicMock

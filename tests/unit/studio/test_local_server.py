@@ -1,4 +1,4 @@
-"""Studio's server answers its own pages and no other site's, whatever way these ask."""
+"""Tests of Studio's server: its own pages are served, requests of other sites are refused."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""A person's control in place of the controller."""
+"""Tests of manual control in place of the controller."""
 
 import math
 from pathlib import Path

@@ -50,7 +50,7 @@ class FakeValve:
 
 @pytest.fixture
 def bridge():
-    """A show of a simulated session's stand-in, 40 cycles old."""
+    """Provide a bridge of a stand-in for a simulated session after 40 cycles."""
     fingers = [
         SimpleNamespace(name=name, design=load_sensor("dense"), valve=None)
         for name in ("left", "right")

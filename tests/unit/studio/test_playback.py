@@ -1,4 +1,4 @@
-"""A recording that is looked at where one likes."""
+"""Tests of playback of a recording at any time."""
 
 import numpy as np
 import pytest

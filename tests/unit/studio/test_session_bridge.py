@@ -21,7 +21,8 @@ from tests.fake_run import fake_cycle
 
 
 def fake_session(host_timeout=math.inf):
-    """A session's stand-in on a rig without a scene; keeps why it was to be made safe."""
+    """Return a stand-in session on a rig without a scene, which records the reason of a safe
+    stop."""
     fingers = [SimpleNamespace(name=name, design=None) for name in ("left", "right")]
     rig = SimpleNamespace(scene=None, host_timeout=host_timeout, fingers=fingers)
     session = SimpleNamespace(rig=rig, perceptions=[None, None], reasons=[], flags={})
@@ -75,7 +76,7 @@ def test_the_plots_show_the_last_seconds_only():
     assert rows[-1].time - rows[0].time == pytest.approx(20, abs=0.4)  # a cycle of 0.33 s
     curves = bridge.history.curves()
     assert curves.time[-1] == rows[-1].time and len(curves.time) <= 300
-    assert curves is bridge.history.curves()  # made once a cycle, not once a frame
+    assert curves is bridge.history.curves()  # created once a cycle, not once a frame
 
 
 def test_a_pause_blocks_the_session_until_resumed():
@@ -97,8 +98,7 @@ def test_a_pause_blocks_the_session_until_resumed():
 
 
 def test_a_signal_ends_a_pause(monkeypatch):
-    """Ctrl-C ends a pause: the loop sets down the held object, and the world must go on for
-    this."""
+    """Ctrl-C ends a pause: the loop sets down the held object, which requires simulation steps."""
     bridge = SessionBridge()
     bridge.paused = True
 
@@ -133,9 +133,9 @@ def test_another_run_or_a_closed_viewer_ends_simulated_and_retreats_real_rigs(na
     with pytest.raises(RestartRequested):
         bridge.add(fake_cycle(0))
     bridge.session = fake_session(host_timeout=0.25)
-    bridge.add(fake_cycle(0))  # goes on: the supervisor opens the hand first
+    bridge.add(fake_cycle(0))  # continues: the supervisor opens the gripper first
     assert len(bridge.session.reasons) == 1
-    with pytest.raises(RestartRequested):  # nothing moves yet
+    with pytest.raises(RestartRequested):  # no motion yet
         bridge.add_reference("flat", [], [])
 
 
@@ -145,7 +145,7 @@ def test_the_red_button_makes_the_rig_safe_and_ends_a_pause():
     bridge.paused = True
     bridge.halt()
     assert bridge.session.reasons == [RED_BUTTON] and not bridge.paused
-    with pytest.raises(DeviceError, match="red button"):  # nothing moves yet, which could retreat
+    with pytest.raises(DeviceError, match="red button"):  # no device is running that could retreat
         bridge.add_reference("rest", [], [])
 
 
@@ -187,7 +187,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
         controller = bridge.take_over(load_controller("gentle"))
         run_grasp(Scenario(), [bridge, CountingObserver()], controller=controller, workers=0)
     snapshots = [snapshot for snapshot in snapshots if snapshot is not None]
-    times = [snapshot.scene[1][0] for snapshot in snapshots]  # MuJoCo's state begins with its time
+    times = [snapshot.scene[1][0] for snapshot in snapshots]  # MuJoCo's state starts with its time
     np.testing.assert_allclose(np.diff(times), 1 / 30, atol=1e-9)
     pressure = [snapshot.fingers[0].gauge_pressure for snapshot in snapshots]
     # pressure in Pa; an ideal valve
@@ -202,7 +202,7 @@ def test_a_grasp_shows_its_scene_and_obeys():
         for center in known.center_px
     ]
     assert sorted(order) == list(range(len(found)))
-    # px: where a fit began is a tenth of its sd
+    # px: the start of a fit contributes a tenth of its sd
     np.testing.assert_allclose(known.center_px, found.center_px[order], atol=0.02)
     assert followed(snapshots[6].fingers[0].image, estimated.tracks) is None  # another image's
     state = [snapshot.session for snapshot in snapshots]

@@ -115,7 +115,8 @@ def is_open(port):
 
 
 def test_the_documented_loop_accepts_local_connections_only(tmp_path):
-    """The loop of docs/how-to/studio.md serves this computer alone, and no other web site.
+    """The loop of docs/how-to/studio.md accepts connections of this computer only, and of no other
+    web site.
 
     The test adds a model and an end. It runs in its own process, since MuJoCo's viewer may crash a
     process that opens a second one.
