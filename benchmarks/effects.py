@@ -141,7 +141,7 @@ def _estimated(
     NaN.
     """
     renderer = Renderer(design, seed=1, shadows=shadows)
-    perception = StatefulPipeline.of(design)
+    perception = StatefulPipeline.of(design, contact_shapes=False)
     perception.measure_flat_reference([renderer.render(*poses[0]) for _ in range(_IMAGES)])
     perception.measure_rest_reference([renderer.render(*poses[1]) for _ in range(_IMAGES)], 1000.0)
     forces = []

@@ -146,7 +146,7 @@ def _state(world: PressWorld) -> State:
 
 def _evaluate(design: SensorDesign, states: list[State], effects: Effects) -> dict[str, Any]:
     renderer = Renderer(design, seed=1)
-    perception = StatefulPipeline.of(design)
+    perception = StatefulPipeline.of(design, contact_shapes=False)
     flat, rest, *pressed = states
     perception.measure_flat_reference(
         [renderer.render(flat.p_SM, flat.n_S, effects=effects) for _ in range(_FRAMES)]

@@ -70,14 +70,17 @@ def replay_faults(
     def shown(images: Sequence[Image], on: bool) -> list[Image]:
         return [camera(image) if on else image for image in images]
 
-    perception = StatefulPipeline.of(grasp.design)
+    perception = StatefulPipeline.of(grasp.design, contact_shapes=False)
     try:
         perception.measure_flat_reference(shown(grasp.references["flat"], before))
         perception.measure_rest_reference(shown(grasp.references["rest"], before), grasp.pressure)
     except DeviceError as error:
         refused = ReplayResult(refused=" ".join(str(error).split()))
         return [refused for _ in gauges]
-    pipelines = [StatefulPipeline(perception.pipeline, perception.state) for _ in gauges]
+    pipelines = [
+        StatefulPipeline(perception.pipeline, perception.state, contact_shapes=False)
+        for _ in gauges
+    ]
     touches: list[list[Touch]] = [[] for _ in gauges]
     for image, reading in zip(grasp.images, grasp.readings, strict=True):
         altered = camera(image) if after else image

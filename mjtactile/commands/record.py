@@ -96,7 +96,7 @@ ARGUMENTS = (
     arg.flag("--load-cell", "stage: also record the load cell in each hold"),
     arg.flag(
         "--contact-shapes",
-        "estimate the contact shape of every touch; of a recording, from its images",
+        "force and slip from the contact shape in every image; also of a recording",
     ),
     scenario.TIME_SCALE,
     arg.option(

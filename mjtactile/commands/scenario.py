@@ -25,8 +25,8 @@ _SCENARIO = arg.option(
 )
 _SHAPES = arg.flag(
     "--contact-shapes",
-    "estimate the contact shape of every touch, even if the controller does not read it; "
-    "area and force then come from the shape model (docs/reference/effects.md has the cost)",
+    "force and slip from the contact shape in every image, even if the controller does not read "
+    "it; area and kind always come from it (docs/reference/effects.md has the cost)",
     default=None,
 )
 

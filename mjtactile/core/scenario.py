@@ -135,7 +135,8 @@ class Scenario:
             "none".
         seed: Seed of camera noise, of the object's position, and of `randomization`.
         time_limit: Time on the rig's clock after which the run is ended, s; inf: never.
-        contact_shapes: True if every touch reports its contact shape, regardless of the controller.
+        contact_shapes: True if force and slip come from the contact shape, regardless of the
+            controller.
             Area and force are then those of the shape.
 
     Raises:

@@ -122,7 +122,7 @@ def press(
     world = _world(design, plan.indenter, at=plan.at, tilt=plan.tilt, mesh=mesh, **simulation)
     world.update_flags(_coarse(world))
     shadows = Effect.SHADOWS in simulation.get("effects", ())
-    view = View(world, design, seed=seed, shadows=shadows, gauge=True)
+    view = View(world, design, seed=seed, shadows=shadows, gauge=True, contact_shapes=None)
     take_references(world, [view], design.chamber.supply_gauge, sealed=plan.sealed)
     touches: list[Touch] = []
     rows = _indentations(world, view, plan, touches)

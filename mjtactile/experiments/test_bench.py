@@ -26,7 +26,8 @@ _GAUGE_SD = 5.0  # noise of the pressure sensor, Pa, as of a rig without a calib
 
 
 class View:
-    """Camera, pressure sensor and pipeline of the sensor in `world`, assuming `design`."""
+    """Camera, pressure sensor and pipeline of the sensor in `world`, assuming `design`. For
+    `contact_shapes` see `StatefulPipeline`."""
 
     def __init__(
         self,
@@ -36,6 +37,7 @@ class View:
         seed: int = 0,
         shadows: bool = False,
         gauge: bool = False,
+        contact_shapes: bool | None = False,
     ):
         self.world = world
         self.sealed = True
@@ -45,7 +47,9 @@ class View:
         settings = DEFAULTS
         if isinstance(sensor, TactileSensor):
             settings = DEFAULTS.for_mesh(design, (sensor.mesh.nx, sensor.mesh.ny))
-        self.perception = StatefulPipeline.of(design, settings=settings)
+        self.perception = StatefulPipeline.of(
+            design, settings=settings, contact_shapes=contact_shapes
+        )
         self._uncertain = UncertainForceMonitor(["sensor"], lasts=0.0)  # the loads are settled
 
     @property

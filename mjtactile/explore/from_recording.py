@@ -50,7 +50,7 @@ def patches_of_recording(recording: Recording, group: int, yaw: float = 0.0) -> 
         raise InputError("has no reference images (flat and rest)", source=recording.folder)
     if "stage" in recording.notes:
         return _of_presses(recording)
-    session = replay_session(recording)
+    session = replay_session(recording, contact_shapes=False)
     rig = session.rig
     values = (recording.column(name)[:, 0].tolist() for name in ("opening", "lift_height"))
     cycles = list(map(GripCycle, replay_touches(recording, session), *values))

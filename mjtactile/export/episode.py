@@ -248,7 +248,7 @@ class RecordedEpisode:
             list(rest.images(index)),
             reading,
         )
-        perception.contact_shapes = self.recording.has_shapes
+        perception.contact_shapes = self.recording.has_shape_forces or None
         return perception
 
     def _readings(self, cycle: int) -> list[PressureReading | None]:

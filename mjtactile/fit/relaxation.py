@@ -138,7 +138,7 @@ class _Memories:
     def __init__(self, recording: Recording, design: SensorDesign, finger: str):
         finger_index = recording.fingers.index(finger)
         calibration = calibration_of(recording, design, finger)
-        perception = StatefulPipeline.of(design, calibration)
+        perception = StatefulPipeline.of(design, calibration, contact_shapes=False)
         flat, rest = recording.references
         perception.measure_flat_reference(list(flat.images(finger_index)))
         reading = rest.gauge_pressure[finger_index]

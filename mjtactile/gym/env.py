@@ -250,7 +250,7 @@ class GraspEnv(NotCopyable, gymnasium.Env[Any, Array]):
         rig = build_rig(scenario)
         if rig.touch_is_synthetic:  # a thread would cost more than it saves
             rig.clock.step_in_turn()  # pyright: ignore[reportAttributeAccessIssue]
-        self._session = Session(rig, threads=0, contact_shapes=self.scenario.contact_shapes)
+        self._session = Session(rig, threads=0, contact_shapes=self.scenario.contact_shapes or None)
         self._session.take_references()
         is_plain = load_task(self.scenario.task).is_plain and self.scenario.object != RANDOM
         if self.scenario.randomization == NONE and is_plain and movable(rig.scene):

@@ -180,7 +180,10 @@ SENSED: Mapping[str, Column] = {
         "slip.stick_ratio", np.nan, "", "fraction of the contact that still sticks"
     ),
     "shape_kind": _of_part(
-        "shape.kind", "none", "", "smooth, flat, edge, point, multiple, unknown; none if not asked"
+        "shape.kind",
+        "none",
+        "",
+        "smooth, flat, edge, point, multiple, unknown; none without images",
     ),
     "shape_family": _of_part(
         "shape.family", "none", "", "ball, cylinder, smooth, disc, block; several joined by +"

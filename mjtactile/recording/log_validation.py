@@ -125,6 +125,7 @@ _NOTES = {
     "unix_time_offset_s": NUMBER,
     "mounting": TABLE,
     "calibration": TABLE,
+    "contact_shapes": FLAG,
     "sensors": TABLE,
     "simulated": TABLE,
     "flags": TABLE,

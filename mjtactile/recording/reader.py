@@ -106,9 +106,15 @@ class Recording:
 
     @property
     def has_shapes(self) -> bool:
-        """True if contact shapes were estimated; areas and forces are then those of the shapes."""
+        """True if contact shapes were estimated; areas are then those of the shapes."""
         reported = self.columns.get("shape_kind", ())
         return any(kind != "none" for row in reported for kind in row)
+
+    @property
+    def has_shape_forces(self) -> bool:
+        """True if forces and slip are those of the shapes. Recordings without this note are from
+        versions in which shapes always changed them."""
+        return bool(self.notes.get("contact_shapes", self.has_shapes))
 
     @property
     def valve_count(self) -> int:

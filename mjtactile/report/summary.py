@@ -86,7 +86,7 @@ def session_of(recording: Recording) -> Session | None:
     """
     if len(recording.references) < 2 or not all(len(n) for n in recording.columns["images"]):
         return None
-    return replay_session(recording, contact_shapes=recording.has_shapes)
+    return replay_session(recording, contact_shapes=recording.has_shape_forces or None)
 
 
 def with_shapes(recording: Recording, strip: Sequence[tuple[Seen, Any]]) -> list[tuple[Seen, Any]]:

@@ -140,7 +140,7 @@ class _VideoWriter:
         if self._views:
             panels.insert(0, self._scene_at(time))
         parts = [np.hstack(panels), self._curve.at(time)]
-        if self._recording.has_shapes:
+        if self._recording.has_shape_forces:
             parts.insert(1, self._bodies_at(row))
         return np.vstack(parts)
 

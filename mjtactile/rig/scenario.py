@@ -169,7 +169,7 @@ def _replayed(scenario: Scenario, recording: Recording, given: Sequence[str]) ->
         sensors={
             finger: sensor for finger, sensor in sensors.items() if not sensor.has_values_of(first)
         },
-        contact_shapes=scenario.contact_shapes or recording.has_shapes,
+        contact_shapes=scenario.contact_shapes or recording.has_shape_forces,
     )
 
 

@@ -25,7 +25,7 @@ PATIENCE = 10.0
 class Perceiver(Protocol):
     """One sensor's perception; see `mjtactile.sensing.stateful_pipeline.StatefulPipeline`."""
 
-    contact_shapes: bool
+    contact_shapes: bool | None
 
     def measure_flat_reference(self, images: Sequence[Image]) -> Any: ...
     def measure_rest_reference(
@@ -42,7 +42,7 @@ class SyntheticPerception:
     It does not provide contact shapes.
     """
 
-    contact_shapes = False
+    contact_shapes: bool | None = False
     state: Any = None
 
     def measure_flat_reference(self, images: Sequence[Image]) -> None: ...

@@ -136,7 +136,9 @@ def replay_probe(
         message = "has no reference images (flat and rest): the sensors cannot be zeroed"
         raise InputError(message, source=recording.folder)
     sensors = recorded_sensors(recording, sensor)
-    session = replay_session(recording, settings=settings, contact_shapes=recording.has_shapes)
+    session = replay_session(
+        recording, settings=settings, contact_shapes=recording.has_shape_forces or None
+    )
     log = _Log()
     for cycle, touch in enumerate(replay_touches(recording, session)):
         log.keep(

@@ -17,7 +17,7 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 
 def replay_session(
-    recording: Recording, *, settings: Settings = DEFAULTS, contact_shapes: bool = False
+    recording: Recording, *, settings: Settings = DEFAULTS, contact_shapes: bool | None = None
 ) -> Session:
     """Return a session on the recorded rig, with its references.
 
@@ -56,7 +56,7 @@ def zeroed_pipeline(
     `reading` is the pressure sensor's value in the rest images, Pa (None, NaN: no sensor). Raises
     DeviceError when the images do not agree with the sensor file.
     """
-    perception = StatefulPipeline.of(design, calibration)
+    perception = StatefulPipeline.of(design, calibration, contact_shapes=False)
     perception.measure_flat_reference(flat)
     if reading is None or math.isnan(reading):
         gauge = design.chamber.supply_gauge

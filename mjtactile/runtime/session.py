@@ -56,8 +56,7 @@ class Session:
         settings: Settings of the pipelines created here; None: the defaults.
         threads: Number of perception threads in addition to the loop (None: automatic).
         pool: Perception processes instead of threads.
-        contact_shapes: True to estimate the shape of every touch, even if the controller does not
-            require it.
+        contact_shapes: As for `StatefulPipeline`; True also if the controller requires it.
         notify: Callback for messages, one line each.
     """
 
@@ -69,7 +68,7 @@ class Session:
         settings: Settings | None = None,
         threads: int | None = None,
         pool: PerceptionPool | None = None,
-        contact_shapes: bool = False,
+        contact_shapes: bool | None = None,
         notify: Notify = lambda _: None,
     ):
         self.rig = rig
@@ -98,7 +97,7 @@ class Session:
                 for finger in rig.fingers
             ]
         self.perceptions: Sequence[Perceiver] = perceptions
-        self._require_shapes(contact_shapes)
+        self._require_shapes(bool(contact_shapes))
 
     @property
     def disk_wait_time(self) -> float:
@@ -134,6 +133,7 @@ class Session:
         observer.note(
             fingers=[finger.name for finger in rig.fingers],
             settings=self.settings.to_dict(),
+            contact_shapes=bool(self._shapes),
             **simulated,
         )
         sensors = {finger.name: finger.design.stored_file() for finger in rig.fingers}
@@ -196,7 +196,7 @@ class Session:
 
         Args:
             controller: Controller that returns a command in every cycle. If its file contains
-                `REQUIRES = ("contact_shape",)`, every touch has its shape.
+                `REQUIRES = ("contact_shape",)`, force and slip come from the contact shape.
             time_limit: Time limit on the rig's clock, s.
             on_cycle: Function called with every cycle after its command was sent.
             observer: Observer of every cycle, also called after the images of a cycle were taken.
@@ -223,15 +223,16 @@ class Session:
         if on_cycle is not None:
             watching.append(CycleCallback(on_cycle))
         reads = "contact_shape" in getattr(controller, "reads", ())
-        self._require_shapes(self._shapes or reads, controller.path if reads else None)
+        uses = bool(self._shapes) or reads
+        self._require_shapes(uses, controller.path if reads else None)
+        Observers(watching).note(contact_shapes=uses)
         notes = FlagObserver(lambda: self.flags, Observers(watching))
         # simulation provides the forces outside the sensors, so only a real rig is monitored
         is_real = math.isfinite(self.rig.host_timeout)
         watched: list[Observer] = [notes, self.monitor, *([self._push] if is_real else [])]
         if self.rig.workload is not None:
             notify = Observers(watching).message
-            shapes = self._shapes or reads
-            watched.append(SlownessMonitor(self.rig.workload, notify, contact_shapes=shapes))
+            watched.append(SlownessMonitor(self.rig.workload, notify, contact_shapes=uses))
         with signals.deferred() as stop, notes, self._in_use("run"):
             return run_loop(
                 self.rig,
@@ -288,7 +289,7 @@ class Session:
                 requested = {"REQUIRES": "contact_shape"}
             require_effects((), source, **requested)
         for perception in self.perceptions:
-            perception.contact_shapes = asks
+            perception.contact_shapes = True if asks else self._shapes
         if asks:
             for finger in self.rig.fingers:
                 ensure_start(finger.design, self.settings.contact_shape, self._notify)
@@ -351,7 +352,7 @@ def open_session(
                 settings=settings,
                 threads=workers,
                 pool=pool,
-                contact_shapes=requested.contact_shapes,
+                contact_shapes=requested.contact_shapes or None,
                 notify=notify,
             )
             try:

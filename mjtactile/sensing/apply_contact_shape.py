@@ -15,6 +15,8 @@ from mjtactile.sensing.pipeline_state import PipelineState, Reference
 from mjtactile.sensing.settings import SlipSettings
 from mjtactile.sensing.touch.slip_from_motion import with_motion
 
+_SHARP = 0.05  # area of an edge or tip over its nodal estimate (bench shape, own seeds)
+_PLANE = 0.85  # lower end of the interval of a plane's area, over the area
 _GAUGE_STEP = 1.02  # ratio of the rest pressure above which the shapes need a new membrane model
 
 
@@ -45,7 +47,7 @@ def attach_shape(
     contact = touch.contact
     slip = touch.slip if slip is None else slip
     if contact is None or shape.kind == "unknown":
-        return replace(touch, shape=shape, slip=slip)
+        return replace(touch, shape=shape, slip=slip, contact=_of_unknown_shape(contact))
     sharp = np.zeros(6) if sharpness is None else sharpness
     estimated = {} if load is None else with_load(touch, load, sharp)
     by_body = _with_area(contact, shape)
@@ -91,6 +93,17 @@ def _patches_of(
         left.remove(nearest)
         found.append(_with_area(patch, nearest))
     return tuple(found)
+
+
+def _of_unknown_shape(contact: Contact | None) -> Contact | None:
+    """Return the contact with an area interval that includes edges and tips. Under a plane, which
+    has a narrow interval, there are none."""
+    if contact is None or not contact.touching:
+        return contact
+    low, high = contact.area_interval
+    if low > _PLANE * contact.area:
+        return contact
+    return replace(contact, area_interval=np.array([_SHARP * contact.area, high]))
 
 
 def _with_area(contact: Contact, shape: ContactShape) -> Contact:

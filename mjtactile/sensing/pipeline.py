@@ -37,6 +37,7 @@ from mjtactile.core.types import (
 )
 from mjtactile.sensing.apply_contact_shape import (
     apply_shape_and_motion,
+    attach_shape,
     finder_gauge,
     membrane_displacement,
 )
@@ -315,6 +316,8 @@ class SensingPipeline:
         after: PipelineState,
         touch: Touch,
         finder: ContactShapeEstimator,
+        *,
+        with_load: bool = True,
     ) -> tuple[Touch, PipelineState]:
         """Estimate the contact shape, using the history of earlier images.
 
@@ -323,6 +326,7 @@ class SensingPipeline:
             after: State after the image.
             touch: Touch estimated from the image.
             finder: Shape estimator for this rest reference.
+            with_load: True for force and slip from the shape; False for its area alone.
 
         Returns:
             The touch with its shape, and area and force from it, and the state with the history of
@@ -331,8 +335,12 @@ class SensingPipeline:
         Raises:
             DeviceError: The rest reference is missing.
         """
+        at_rest = self._rest_markers(after)
+        if not with_load:
+            found = finder.follow(touch, before.press, at_rest, with_load=False)
+            return attach_shape(touch, found.shape), replace(after, press=found.press)
         rubber = membrane_displacement(before, after)
-        found = finder.follow(touch, before.press, self._rest_markers(after), rubber)
+        found = finder.follow(touch, before.press, at_rest, rubber)
         sharpness = None
         explains = found.load is not None and found.load.explained > _EXPLAINED
         if explains and after.shape is not None:

@@ -25,8 +25,9 @@ class StatefulPipeline:
     Args:
         pipeline: The sensing pipeline.
         state: Initial state; None: the state before any measurement.
-        contact_shapes: True if every touch gets its `shape`; docs/reference/effects.md lists the
-            cost.
+        contact_shapes: None: every touch gets its `shape`, and its contact area from it. True:
+            force and slip come from it as well. False: no shapes. docs/reference/effects.md lists
+            the cost.
 
     Raises:
         InputError: The state is of another sensor.
@@ -37,7 +38,7 @@ class StatefulPipeline:
         pipeline: SensingPipeline,
         state: PipelineState | None = None,
         *,
-        contact_shapes: bool = False,
+        contact_shapes: bool | None = None,
     ):
         count = pipeline.design.markers.count
         if state is not None and len(state.expected) != count:
@@ -59,6 +60,7 @@ class StatefulPipeline:
         calibration: Calibration | None = None,
         *,
         settings: Settings | None = None,
+        contact_shapes: bool | None = None,
     ) -> StatefulPipeline:
         """Create a pipeline for a sensor that has no references yet.
 
@@ -66,11 +68,13 @@ class StatefulPipeline:
             design: The sensor file's values.
             calibration: Measured calibration of this sensor; None: no calibration.
             settings: The stages' parameters; None: the defaults.
+            contact_shapes: As for the class.
 
         Returns:
             The pipeline, with the state before any measurement.
         """
-        return cls(SensingPipeline(design, calibration, settings=settings))
+        pipeline = SensingPipeline(design, calibration, settings=settings)
+        return cls(pipeline, contact_shapes=contact_shapes)
 
     @validated()
     def measure_flat_reference(self, images: Sequence[Image]) -> FlatReference:
@@ -120,13 +124,13 @@ class StatefulPipeline:
         """
         before = self.state
         touch, self.state = self.pipeline.step(before, image, now, reading)
-        if not self.contact_shapes:
+        if self.contact_shapes is False:
             return touch
         lacking = uninformative_status(touch, self.pipeline.settings.contact_shape)
         if lacking is not None and before.press is None:
             return attach_shape(touch, lacking)
         touch, self.state = self.pipeline.track_contact_shape(
-            before, self.state, touch, self._finder_now()
+            before, self.state, touch, self._finder_now(), with_load=self.contact_shapes is True
         )
         return touch
 

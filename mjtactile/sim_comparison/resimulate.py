@@ -129,7 +129,7 @@ class _Watch(Observer):
     """Sensing pipeline that observes the recording of a stage."""
 
     def __init__(self, design: SensorDesign, zero: float):
-        self._perception = StatefulPipeline.of(design, None)
+        self._perception = StatefulPipeline.of(design, None, contact_shapes=False)
         self._zero = zero
         self.gathered = CollectedSignals([design.markers.count])
 

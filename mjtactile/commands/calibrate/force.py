@@ -201,7 +201,7 @@ def _references(
             "`calibrate frame` with rest images for this file"
         )
         raise InputError(message, source=goal.path, field="frame.rest")
-    return StatefulPipeline(pipeline, state)
+    return StatefulPipeline(pipeline, state, contact_shapes=False)
 
 
 def _table(path: Path, design: SensorDesign) -> Iterator[tuple[str, float, list[Image]]]:

@@ -174,7 +174,7 @@ class Touch:
         status: "ok", or the reason why the force is unknown.
         patches: Separate contact patches, the strongest first.
         slip: Slip of the object.
-        shape: Contact shape; None if not requested (`StatefulPipeline(contact_shapes=True)`).
+        shape: Contact shape; None without images, and from `SensingPipeline.step`.
         camera: Drift of the camera by the fiducials; None: there are none, or too few were
             detected.
     """

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mjtactile.core.normal_distribution import normal_cdf_of
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.quasistatic.solution import TENSION
@@ -19,6 +20,7 @@ from mjtactile.sensing.contact_shape.shape_models import ShapeModel, face_of
 from mjtactile.sensing.settings import ContactShapeSettings
 
 _INTERVAL = (0.16, 0.84)
+_INTERVAL_SD = 0.9944579  # their distance from the mean, standard deviations
 _LIKELY = 1e-3  # minimum probability of a family that contributes to an interval
 FACES = ("disc", "block")
 # Relative growth of a fitted face with a sharp rim, and with one as round as a superquadric's;
@@ -29,6 +31,8 @@ _ROUND_SD = 0.1  # relative, of the contact area with a round rim
 _CERTAIN = 20.0
 _WHOLE = 0.9  # minimum area of a face that touches as a whole, over its nominal area
 _SLOPES = (0.02, 1.2)  # slope of the membrane at a rim: minimum, maximum
+_FINE = 1.5  # ratio of the vertex spacing to that of the calibration up to which all are resolved
+_CELLS = 15  # minimum cells of a coarse simulated mesh in a contact whose kind is resolved
 _FACE_MIN = 0.5  # minimum fraction of an estimated face area that remains after the rim correction
 
 
@@ -167,21 +171,25 @@ def rim_areas(
     return sorted(rims, reverse=True)
 
 
+def resolves_kind(area: float, s: ContactShapeSettings) -> bool:
+    """Return True unless a contact of `area`, m^2, covers few cells of a coarse simulated mesh. An
+    egg touches at so few vertices that it resembles a small disc."""
+    return s.mesh_ratio <= _FINE or not area < _CELLS * s.mesh_spacing**2
+
+
 def interval(bodies: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
     """Return the 68 % interval of an area, m^2, over all candidate shapes, each with probability,
     area and its standard deviation."""
-    from scipy.special import ndtr, ndtri  # takes a while to import
-
     likely = [body for body in bodies if body[0] > _LIKELY]
     if len(likely) == 1:
         _, area, sd = likely[0]
-        low, high = (max(area + sd * float(ndtri(end)), 0.0) for end in _INTERVAL)
+        low, high = (max(area + sd * end, 0.0) for end in (-_INTERVAL_SD, _INTERVAL_SD))
         return low, high
     p, area, sd = np.array(likely).T
     sd = np.maximum(sd, 1e-9)
     low = float((area - 4 * sd).min())
     high = float((area + 4 * sd).max())
     grid = np.linspace(max(0.0, low), high, 128)
-    fraction = (p * ndtr((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
+    fraction = (p * normal_cdf_of((grid[:, None] - area) / sd)).sum(axis=1) / p.sum()
     ends = np.interp(_INTERVAL, fraction, grid)
     return float(ends[0]), float(ends[1])

@@ -15,13 +15,19 @@ import numpy as np
 
 from mjtactile.core.design import SensorDesign
 from mjtactile.core.status import OK, Status, StatusCode
-from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, RelativeMotion, Touch
+from mjtactile.core.types import SHAPES, Array, Contact, ContactShape, Touch
 from mjtactile.sensing.contact_shape.amortized_start import AmortizedStart, Proposal
-from mjtactile.sensing.contact_shape.contact_area import area_sd, areas, interval, rim_areas
+from mjtactile.sensing.contact_shape.contact_area import (
+    area_sd,
+    areas,
+    interval,
+    resolves_kind,
+    rim_areas,
+)
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.force_fusion import ContactLoad, contact_load, tip_probability
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
-from mjtactile.sensing.contact_shape.hypotheses import PressHistory, ReportedKind
+from mjtactile.sensing.contact_shape.hypotheses import PressHistory, Report, ReportedKind
 from mjtactile.sensing.contact_shape.initial_search import Suggestions
 from mjtactile.sensing.contact_shape.press_tracker import follow
 from mjtactile.sensing.contact_shape.primitives import (
@@ -90,15 +96,24 @@ class ContactShapeEstimator:
         press: PressHistory | None,
         p_rest: Array,
         rubber: MembraneMotion | None = None,
+        *,
+        with_load: bool = True,
     ) -> Found:
         """Estimate the contact shape in the next image. `press` is the history of the contact
         episode, `p_rest` (N, 3), m, are the marker positions at rest, and `rubber` is the motion of
-        the rubber since the previous image (None: unknown)."""
+        the rubber since the previous image (None: unknown). `with_load`: False for the shape
+        without its motion and load."""
         s = self.settings.contact_shape
         lacking = uninformative_status(touch, s)
         if lacking is not None:
             goes_on = touch.touching or touch.status != OK
             return Found(lacking, None, press if goes_on else None)
+        assert touch.contact is not None
+        position = np.array(touch.contact.centroid)
+        shown = None if press is None or with_load else press.shown
+        if press is not None and shown is not None and shown.stands(touch.force_normal, position):
+            press = replace(press, shown=replace(shown, images=shown.images + 1))
+            return Found(shown.shape, None, press)
         inverse = self.settings.inverse
         drift = (inverse.drift_gas, inverse.drift_camera)
         raised = p_rest[:, 2] - self.forward.rest_heights
@@ -113,15 +128,17 @@ class ContactShapeEstimator:
         scale = max(s.noise_min, press.now.misfit)
         if press.images == 0:  # the object is the same until the next evaluation
             press = replace(press, other=deviation(self.forward, press.now, data, scale))
+        reported = self._kind(press, before, data.force, position)
+        shape = self._result(press, reported.kind, scale, touch.contact)
+        press = replace(press, reported=reported, shown=Report(shape, data.force, position))
+        if not with_load:
+            return Found(shape, None, press)
         track = tracked(track, press.now, touch.time, rubber, scale, s)
-        assert touch.contact is not None
-        reported = self._kind(press, before, data.force, np.array(touch.contact.centroid))
         relative = motion(track, press.now, slips=slips(touch))
-        shape = self._result(press, reported.kind, scale, relative)
         load = None
         if shape.kind != "unknown" and touch.traction is not None:
             load = contact_load(self.forward, press, touch.traction.wrench, scale, s)
-        return Found(shape, load, replace(press, track=track, reported=reported))
+        return Found(replace(shape, motion=relative), load, replace(press, track=track))
 
     def _suggest(self, data: Data) -> Suggestions:
         """Return the starts of the shape models for an image. They are estimated for a membrane
@@ -162,9 +179,7 @@ class ContactShapeEstimator:
         unexplained = press.now.misfit > self.settings.contact_shape.misfit_max
         return ReportedKind("unknown" if unexplained else kind, force, position)
 
-    def _result(
-        self, press: PressHistory, kind: str, scale: float, relative: RelativeMotion | None
-    ) -> ContactShape:
+    def _result(self, press: PressHistory, kind: str, scale: float, nodal: Contact) -> ContactShape:
         s = self.settings.contact_shape
         probabilities = press.kinds((*SHAPES,))
         misfit = press.now.misfit
@@ -186,9 +201,10 @@ class ContactShapeEstimator:
         growth = press.candidates[0].common.growth
         weighed[:1] = rim_areas(press.now, growth, *weighed[0])
         sizes = (weighed[0][1], interval(weighed))
-        shape = build_shape(
-            self.forward, press.now, kind, probabilities, spread, sizes, s, other, relative
-        )
+        if kind == "flat" and not resolves_kind(sizes[0], s):  # it may be a round object
+            ends = np.array([sizes[1], nodal.area_interval])
+            sizes = (nodal.area, (float(ends[:, 0].min()), float(ends[:, 1].max())))
+        shape = build_shape(self.forward, press.now, kind, probabilities, spread, sizes, s, other)
         sharp = probabilities["edge"] + probabilities["point"]
         shape = with_curvature_spread(shape, press.bodies, sharp)
         shape = with_position_spread(shape, press.bodies[1:])

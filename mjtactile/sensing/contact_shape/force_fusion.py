@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from mjtactile.core.normal_distribution import normal_cdf
 from mjtactile.core.types import SHAPES, Array, Touch
 from mjtactile.quasistatic import MembraneSolution
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
@@ -79,8 +80,6 @@ def _load_heights(forward: ForwardModel, state: MembraneSolution) -> tuple[float
 
 def tip_probability(found: Fit, noise: float, s: ContactShapeSettings) -> float:
     """Return the probability of a point contact: both curvatures above a limit."""
-    from scipy.special import ndtr  # takes a while to import
-
     cov = found.cov_with(noise)
     if found.family.name == "ball":
         minimum = float(found.theta[3])
@@ -92,7 +91,7 @@ def tip_probability(found: Fit, noise: float, s: ContactShapeSettings) -> float:
         return 0.0
     light = min(found.state.force_normal / s.tip_light, 1.0)
     limit = s.tip_curvature * math.sqrt(max(light, 0.0))
-    return float(ndtr((minimum - limit) / math.sqrt(max(variance, 1.0))))
+    return normal_cdf((minimum - limit) / math.sqrt(max(variance, 1.0)))
 
 
 def below_frame(forward: ForwardModel, state: MembraneSolution) -> float:

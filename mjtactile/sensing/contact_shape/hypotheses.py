@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from mjtactile.core.types import Array
+from mjtactile.core.types import Array, ContactShape
 from mjtactile.sensing.contact_shape.fit_state import Data
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, exactly
@@ -25,6 +25,9 @@ from mjtactile.sensing.settings import ContactShapeSettings
 _CLOSE = 2.5  # log evidence behind the best: a fit is refined before it is weighted
 _HELD_FORCE = 1.15  # force ratio within which a contact is held
 _HELD_MOTION = 5e-4  # motion of the contact within which it is held, m
+_STANDS = 4  # maximum number of images during which a report stands
+_SAME_FORCE = 1.05  # force ratio within which it stands
+_SAME_POSITION = 3e-4  # motion of the contact within which it stands, m
 _BEHIND = 10.0  # log evidence behind the best: the model is not searched again in this episode
 
 
@@ -95,6 +98,24 @@ class ReportedKind:
 
 
 @dataclass(frozen=True, eq=False)
+class Report:
+    """Reported `shape` of an image, with its force, N, and position (2,), m, and the number of
+    `images` since then."""
+
+    shape: ContactShape
+    force: float
+    position: Array
+    images: int = 0
+
+    def stands(self, force: float, position: Array) -> bool:
+        """Return True if the report is recent and the load has hardly changed since then."""
+        ratio = force / max(self.force, 1e-9)
+        moved = float(np.hypot(*(position - self.position)))
+        recent = self.images < _STANDS
+        return recent and 1 / _SAME_FORCE < ratio < _SAME_FORCE and moved < _SAME_POSITION
+
+
+@dataclass(frozen=True, eq=False)
 class PressHistory:
     """Shape estimate from the images of one contact episode.
 
@@ -113,6 +134,7 @@ class PressHistory:
         reported: Reported kind, and the load with which it was chosen.
         other: Deviation of the object from the reported model, at the last evaluation.
         linear: Linear model that gave `now`; None: `now` has its own membrane solution.
+        shown: Last report; None: none yet.
     """
 
     candidates: tuple[Candidate, ...]
@@ -129,6 +151,7 @@ class PressHistory:
     reported: ReportedKind | None = None
     other: Deviation | None = None
     linear: Linearization | None = None
+    shown: Report | None = None
 
     @property
     def solved(self) -> Fit:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mjtactile.core.types import Array
+from mjtactile.quasistatic.solution import AREA
 from mjtactile.sensing.contact_shape.fit_state import Data, FitState, Prior
 from mjtactile.sensing.contact_shape.forward_model import SUMS
 from mjtactile.sensing.contact_shape.gauss_newton import Fit, step_limits
@@ -49,6 +50,8 @@ class Linearization:
             return None
         found = before.state.found.copy()
         found[SUMS] += slopes.sums @ by
+        if found[AREA] <= 0:
+            return None
         cost = square + self.prior.cost(theta / family.sd)
         at = FitState(theta, replace(before.state, found=found), heights, left, cost)
         return fit.updated(at, gain.seen.T @ left, data.force)

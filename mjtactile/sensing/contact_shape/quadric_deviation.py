@@ -28,6 +28,7 @@ _OF_ALL = 3  # number of those that all models lack
 _STEP = 1e-4  # of a deviation, relative to the larger curvature
 _FLAT = 0.2  # minimum curvature, 1/m
 _ELLIPSOID = KINDS["ellipsoid"][0]
+_AREA_MIN = 0.2  # minimum fraction of the area that the linear deviation leaves
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +54,7 @@ class Deviation:
 
     def with_area(self, p: float, area: float, sd: float) -> tuple[float, float, float]:
         """Return probability, area and its standard deviation, m^2, including the deviation."""
-        return p, area + self.area, math.hypot(sd, self.area_sd)
+        return p, max(area + self.area, _AREA_MIN * area), math.hypot(sd, self.area_sd)
 
 
 def deviation(forward: ForwardModel, found: Fit, data: Data, noise: float) -> Deviation | None:

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from mjtactile.core.normal_distribution import normal_cdf
 from mjtactile.core.types import Array
 from mjtactile.quasistatic import Obstacle
 from mjtactile.quasistatic.obstacles import NUMBERS, POOL_START, unchecked_obstacles
@@ -151,8 +152,6 @@ class ShapeModel:
 def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
     """Return the probabilities of the reported kinds for parameters `theta` with covariance
     `cov`."""
-    from scipy.special import ndtr  # takes a while to import
-
     if family.parts:
         return {"multiple": 1.0}
     if family.name in ("disc", "block"):
@@ -164,7 +163,7 @@ def kinds_of(family: ShapeModel, theta: Array, cov: Array) -> dict[str, float]:
         maximum = float(theta[3])
         variance = cov[3, 3]
         minimum = maximum if family.name == "ball" else 0.0
-    sharp = float(ndtr((maximum - SHARP) / math.sqrt(max(variance, 1.0))))
+    sharp = normal_cdf((maximum - SHARP) / math.sqrt(max(variance, 1.0)))
     return {"smooth": 1 - sharp, "edge" if minimum < LINE * maximum else "point": sharp}
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mjtactile.core.types import SHAPES, Array, ContactShape, RelativeMotion
+from mjtactile.core.types import SHAPES, Array, ContactShape
 from mjtactile.sensing.contact_shape.contact_area import areas, nearest_part, shares
 from mjtactile.sensing.contact_shape.forward_model import ForwardModel
 from mjtactile.sensing.contact_shape.gauss_newton import Fit
@@ -35,11 +35,10 @@ def build_shape(
     sizes: tuple[float, tuple[float, float]],
     s: ContactShapeSettings,
     other: Deviation | None = None,
-    relative: RelativeMotion | None = None,
 ) -> ContactShape:
     """Build the reported contact shape from a fit. `scale` is the factor on the fit's covariance,
     from its misfit, `sizes` are the area and its interval, m^2, `other` is the deviation from the
-    model, `relative` the motion. The radius is that of the fitted ball, if the object is one."""
+    model. The radius is that of the fitted ball, if the object is one."""
     cov = reported_covariance(found, scale, s)
     if found.family.parts:
         return _several(forward, found, cov, probabilities, sizes[1], s)
@@ -49,9 +48,7 @@ def build_shape(
     force = s.friction * found.state.force_normal
     total = _ContactSummary(sizes[0], force, sizes[1], found.misfit)
     outline = found.once("outline", lambda: _outline(forward, found, found.state.contact_forces))
-    shape = _body(
-        found.family, theta, found.hint, cov, kind, probabilities, total, outline, s, relative
-    )
+    shape = _body(found.family, theta, found.hint, cov, kind, probabilities, total, outline, s)
     if other is None or found.family.name != "ball":
         return shape
     return replace(_with_unequal(shape, other), **_radius(found.theta[3], own_sd))
@@ -106,7 +103,6 @@ def _body(
     total: _ContactSummary,
     outline: Array,
     s: ContactShapeSettings,
-    relative: RelativeMotion | None = None,
 ) -> ContactShape:
     measures = _MEASURES[family.name](theta, cov, s)
     R, rotation = _axes(family, theta, measures.get("direction", 0.0))
@@ -122,7 +118,6 @@ def _body(
         force_normal=total.force,
         family=family.name,
         misfit=total.misfit,
-        motion=relative,
         **measures,
     )
 

@@ -18,14 +18,19 @@ from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 class Fitted(StatefulPipeline):
     """Pipeline that records its calls and returns one shape."""
 
-    def __init__(self):
+    def __init__(self, kind="smooth", misfit=0.9):
         self.asked = []
+        self.found = of_kind(kind, misfit)
         self.pipeline: Any = SimpleNamespace(settings=DEFAULTS)
 
     def shape(self, touches):
         self.asked.append([touch.force_normal for touch in touches])
-        fractions = dict.fromkeys(SHAPES, 0.0) | {"flat": 0.8, "edge": 0.2}
-        return ContactShape("flat", fractions, area=4e-5, area_interval=(3e-5, 6e-5))
+        return self.found
+
+
+def of_kind(kind, misfit=1.0):
+    fractions = dict.fromkeys(SHAPES, 0.0) | {kind: 0.8}
+    return ContactShape(kind, fractions, area=4e-5, area_interval=(3e-5, 6e-5), misfit=misfit)
 
 
 def cycle(phase, *forces, shape=None):
@@ -33,40 +38,30 @@ def cycle(phase, *forces, shape=None):
     return SimpleNamespace(touch=touches, sent=SimpleNamespace(phase=phase))
 
 
-def test_the_load_and_the_last_image_of_the_hold_count():
+def test_the_shape_in_the_last_image_of_the_hold_is_reported():
     contacts = HeldContacts()
-    for phase, force in (
-        ("close", 0.0),
-        ("close", 0.06),
-        ("close", 0.07),  # less than twice the last kept one
-        ("regulate", 0.13),
-        ("hold", 0.4),
-        ("hold", 0.5),
-        ("release", 0.2),
+    for phase, force, kind in (
+        ("regulate", 0.13, "smooth"),
+        ("hold", 0.4, "edge"),
+        ("hold", 0.5, "flat"),
+        ("release", 0.2, "smooth"),
     ):
-        contacts.add(cycle(phase, force, 0.0))
+        contacts.add(cycle(phase, force, 0.0, shape=of_kind(kind)))
     fingers = [Fitted(), Fitted()]
     found, other = contacts.estimate(fingers)
-    assert fingers[0].asked == [[0.06, 0.13, 0.5]]
-    assert fingers[1].asked == [] and other is None  # it never touched
+    assert other is None  # it never touched
+    assert not any(finger.asked for finger in fingers)
     assert found["kind"] == "flat" and found["probability"] == 0.8
     assert found["area_mm2"] == pytest.approx(40)
     np.testing.assert_allclose(found["area_interval_mm2"], [30, 60])
 
 
 def test_a_history_that_does_not_explain_the_hold_is_discarded():
-    class Misled(StatefulPipeline):
-        def __init__(self):
-            self.pipeline: Any = SimpleNamespace(settings=DEFAULTS)
-
-        def shape(self, touches):
-            kind, misfit = ("flat", 3.3) if len(touches) > 1 else ("smooth", 0.9)
-            return ContactShape(kind, dict.fromkeys(SHAPES, 0.0) | {kind: 1.0}, misfit=misfit)
-
     contacts = HeldContacts()
-    contacts.add(cycle("close", 0.1))
-    contacts.add(cycle("hold", 0.6))
-    (found,) = contacts.estimate([Misled()])
+    contacts.add(cycle("hold", 0.6, shape=of_kind("flat", misfit=3.3)))
+    finger = Fitted()
+    (found,) = contacts.estimate([finger])
+    assert finger.asked == [[0.6]]
     assert found["kind"] == "smooth" and found["misfit"] == 0.9
 
 
@@ -79,12 +74,12 @@ def test_the_area_of_a_shape_that_explains_little_is_that_of_the_traction():
     contacts.add(
         SimpleNamespace(touch=(replace(touch, contact=patch),), sent=SimpleNamespace(phase="hold"))
     )
-    (found,) = contacts.estimate([Fitted()])
+    (found,) = contacts.estimate([Fitted("smooth", misfit=4.0)])
     assert found["kind"] == "flat" and found["area_mm2"] == pytest.approx(90)
     np.testing.assert_allclose(found["area_interval_mm2"], [40, 160])
 
 
-def test_a_run_with_shapes_has_its_own():
+def test_an_unknown_shape_stays_unknown():
     shape = ContactShape("unknown", dict.fromkeys(SHAPES, np.nan))
     contacts = HeldContacts()
     contacts.add(cycle("hold", 0.4, shape=shape))
