@@ -110,7 +110,10 @@ def run_probe(
     watching = Observers(observers)
     controller = load_controller(scenario.controller)
     log = _Log()
-    with open_session(scenario, settings=settings, notify=watching.message) as session:
+    # materials were calibrated with the nodal area
+    with open_session(
+        scenario, settings=settings, contact_shapes=False, notify=watching.message
+    ) as session:
         watching.start(session)
         session.take_references(watching)
         session.run(controller, time_limit=scenario.time_limit, observer=Observers([log, watching]))
@@ -137,7 +140,7 @@ def replay_probe(
         raise InputError(message, source=recording.folder)
     sensors = recorded_sensors(recording, sensor)
     session = replay_session(
-        recording, settings=settings, contact_shapes=recording.has_shape_forces or None
+        recording, settings=settings, contact_shapes=recording.has_shape_forces
     )
     log = _Log()
     for cycle, touch in enumerate(replay_touches(recording, session)):

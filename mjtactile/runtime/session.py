@@ -314,6 +314,7 @@ def open_session(
     *,
     workers: int | None = None,
     settings: Settings | None = None,
+    contact_shapes: bool | None = None,
     notify: Notify = lambda _: None,
     **fields: Any,
 ) -> Iterator[Session]:
@@ -328,6 +329,7 @@ def open_session(
         workers: Number of perception workers in addition to the loop (None: automatic, 0: none):
             threads on a real rig, processes in simulation.
         settings: Settings of the sensing pipelines; None: the defaults.
+        contact_shapes: As for `StatefulPipeline`, unless the scenario requests them.
         notify: Callback for messages, one line each.
         **fields: Other fields of the scenario; only with a name (`object_name` is its object).
 
@@ -352,7 +354,7 @@ def open_session(
                 settings=settings,
                 threads=workers,
                 pool=pool,
-                contact_shapes=requested.contact_shapes or None,
+                contact_shapes=requested.contact_shapes or contact_shapes,
                 notify=notify,
             )
             try:
