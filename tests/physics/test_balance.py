@@ -1,5 +1,5 @@
-"""Statics of contact: actuator = contact = reaction, left = right, friction = weight, on slides,
-arms and free bodies."""
+"""Tests of statics of contact: actuator = contact = reaction, left = right, friction = weight, on
+slides, arms and free bodies."""
 
 import mujoco
 import numpy as np
@@ -48,8 +48,8 @@ def forces(world, count=30):
 
 def test_servo_and_both_membranes_agree(held):
     contact, servo = forces(held)
-    # friction in the slides is viscous and nothing moves; the solver's tolerance and slow creep
-    # remain
+    # friction in the slides is viscous and the fingers are at rest; the solver's tolerance and slow
+    # creep remain
     assert -contact[0, 2] == pytest.approx(servo, rel=0.01)
     assert -contact[1, 2] == pytest.approx(servo, rel=0.01)
     assert contact[0, 2] == pytest.approx(contact[1, 2], rel=0.01)
@@ -57,8 +57,8 @@ def test_servo_and_both_membranes_agree(held):
 
 def test_friction_carries_the_weight(held):
     contact, _ = forces(held)
-    # S has y up on both fingers. 3 %: the object still settles by micrometres, and soft ones swing
-    # a little
+    # S has y up on both fingers. 3 %: the object still settles by micrometres, and soft objects
+    # oscillate a little
     assert -contact[:, 1].sum() == pytest.approx(held.object.mass * GRAVITY, rel=0.03)
 
 
@@ -105,7 +105,7 @@ def test_pressure_rises_equally_in_both_chambers(held):
         sensor.update()
     left, right = (sensor.gauge_pressure for sensor in held.sensors)
     assert left > 1100.0
-    # the object may sit a little off the middle
+    # the object may be slightly off the center
     assert left - 1000 == pytest.approx(right - 1000, rel=0.05)
 
 
@@ -220,7 +220,7 @@ def test_sealed_membrane_at_rest_gains_no_energy():
     spec.worldbody.add_site(name="mount")
     world = World(spec, [attach_membrane(spec, "paper16", site="mount", mesh=MESH)])
     world.sensors[0].open_valve()
-    world.step(10)  # seal it while it still moves
+    world.step(10)  # seal the chamber during motion
     world.sensors[0].close_valve()
     speeds = []
     for _ in range(5):
@@ -231,7 +231,8 @@ def test_sealed_membrane_at_rest_gains_no_energy():
 
 
 def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
-    """Kinetic energy of a struck, sealed membrane: from one 40 ms to the next it never grows."""
+    """The kinetic energy of a struck, sealed membrane never grows from one interval of 40 ms to the
+    next."""
     spec = mujoco.MjSpec()
     configure_options(spec)
     spec.option.gravity = [0, 0, 0]
@@ -245,7 +246,7 @@ def test_no_energy_is_gained_with_the_valve_closed_and_nothing_moving():
     for _ in range(10):
         energy.append(world.kinetic_energy)
         world.step(10)
-    assert energy[1] < 0.1 * energy[0]  # the sheet's damping settles it in about 10 ms
+    assert energy[1] < 0.1 * energy[0]  # the membrane's damping settles it in about 10 ms
     # J; the solver's noise
     assert all(b <= a + 1e-15 for a, b in zip(energy, energy[1:], strict=False))
 
@@ -268,7 +269,7 @@ def test_two_membranes_hold_a_plate_by_friction():
         world.step()
         left += ground_truth.contact_force(world, 0) / 50
         right += ground_truth.contact_force(world, 1) / 50
-    # the solver's noise; both squeeze the same sheet
+    # the solver's noise; both load the same membrane
     assert left[2] == pytest.approx(right[2], rel=0.01)
     # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by
     # micrometres
@@ -313,7 +314,7 @@ def test_a_dropped_weight_comes_to_rest_on_the_membrane(speed):
         strike = max(strike, -ground_truth.contact_force(world, 0)[2])
         energy.append(world.kinetic_energy)
     assert strike > 5 * world.weight
-    # never more than it came with, and fell by
+    # at most its initial kinetic and potential energy
     assert max(energy) < 1.1 * (0.5 * 0.02 * speed**2 + 0.02 * 9.81 * 0.02)
     force = np.mean(
         [-ground_truth.contact_force(world, 0)[2] for _ in range(20) if world.step() is None]
@@ -336,6 +337,6 @@ def test_a_shaken_mount_has_the_force_of_a_fixed_mount():
             world.step()
             force -= ground_truth.contact_force(world, 0)[2] / 50
         forces.append(force)
-    # 8 m/s^2 on 0.5 g of sheet: 4 mN to and fro, which averages out; the gas and the drive do not
+    # 8 m/s^2 on 0.5 g of membrane: alternating 4 mN, which averages out; gas and drive do not
     # notice
     assert forces[1] == pytest.approx(forces[0], rel=0.02)

@@ -1,5 +1,5 @@
-"""A circular frame: Hencky, pre-tensioned circle, point load, sphere; and how the sheet departs
-from real rubber."""
+"""Tests of a circular frame: Hencky, pre-tensioned circle, point load, sphere; and the deviation of
+the membrane from rubber."""
 
 from dataclasses import replace
 
@@ -147,7 +147,7 @@ NEO_HOOKEAN = (
 
 @pytest.mark.parametrize(("stretch", "load", "height_ratio"), NEO_HOOKEAN)
 def test_bulge_of_a_disc_is_the_exact_neo_hookean_solution(stretch, load, height_ratio):
-    """Exact discs keep their volume: mu = E/3. A St. Venant-Kirchhoff one is 0.8 to 12 % lower."""
+    """Exact discs keep their volume: mu = E/3. A St. Venant-Kirchhoff disc is 0.8 to 12 % lower."""
     poisson = 0.499
     load_SI = load * 1e6 / 3 * 3e-4 / RADIUS
     world = scene(circle(poisson), MESH)

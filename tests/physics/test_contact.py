@@ -85,7 +85,7 @@ def test_penetration_stays_small_at_any_pressure(pressure, bound):
 def test_force_does_not_depend_on_the_time_step(timestep):
     (force, _), _ = pressed("sphere:8", (2e-3,))
     (other, _), _ = pressed("sphere:8", (2e-3,), timestep=timestep)
-    # statics, and friction, which remembers the way
+    # statics, and friction, which depends on the path
     assert other == pytest.approx(force, rel=0.015)
 
 
@@ -136,8 +136,8 @@ EDGES = {"cylinder:5": 0.537, "box:12": 0.798}
 
 @pytest.mark.parametrize("indenter", EDGES)
 def test_the_force_error_of_an_edge_equals_the_flag(indenter):
-    """The truth, and the statement: an edge falls between vertices, and the force of a face is too
-    low by up to a third."""
+    """The ground truth agrees with the flag: an edge is between vertices, and the force of a face
+    is too low by up to a third."""
     (force, _), world = pressed(indenter, (2e-3,))
     stated = float(world.flags["sharp_edge"].split("off by ")[1].split("%")[0]) / 100
     assert abs(force[0] / EDGES[indenter] - 1) < stated <= 0.7  # 0.3 to 1.4 times, and no worse
@@ -155,7 +155,7 @@ def test_actuator_contact_and_torque_agree():
         force += ground_truth.contact_force(world, 0) / 50
         torque += ground_truth.contact_wrench(world, 0)[3:] / 50
         drive += world.drive_force / 50
-    # slow creep of the sheet
+    # slow creep of the membrane
     np.testing.assert_allclose(force[[0, 2]], drive[[0, 2]], atol=2e-3 * np.abs(force).max())
     center = ground_truth.contact_forces(world, 0)[1].mean(axis=0)
     lever = np.abs(torque - np.cross(center, force))[:2] / abs(force[2])

@@ -45,7 +45,7 @@ def test_with_all_effects_off_no_element_remains():
     assert off.na == on.na == 0
     # frictionless contacts have one row, not three
     assert (off.geom_condim[off.geom_group == 4] == 1).all()
-    assert off.body_mass.sum() < on.body_mass.sum()  # the sheet has no weight left
+    assert off.body_mass.sum() < on.body_mass.sum()  # the membrane has no weight
 
 
 def test_with_all_effects_off_the_load_is_not_overwritten():
@@ -76,7 +76,7 @@ def test_without_friction_a_drag_meets_no_shear():
     world.inflate(1000.0, seal=True)
     world.press(2e-3, shear=0.5e-3)
     force = ground_truth.contact_force(world, 0)
-    # contact normals lean as the sphere moves off the middle; friction would give 0.9 of the normal
+    # contact normals tilt as the sphere moves off the center; friction would give 0.9 of the normal
     # force
     assert abs(force[0]) < 0.1 * abs(force[2])
 
@@ -89,13 +89,13 @@ def test_gravity_of_the_membrane_is_its_weight():
     ]
     rubber = DENSE.membrane
     complete = rubber.density * rubber.thickness * DENSE.frame.area / rubber.pre_stretch**2
-    # the rim's share of the areas (a quarter to a third at 9 x 7 vertices) rides on the frame
+    # the rim's part of the areas (a quarter to a third at 9 x 7 vertices) is carried by the frame
     assert 0.6 * complete < masses[0] - masses[1] < complete
 
 
 def test_the_effect_of_follower_pressure_agrees_with_its_gate():
     """Dead and following load differ to first order in the slope; at p a / E h = 0.05 by a few per
-    cent, not more."""
+    cent."""
     heights = []
     for effects in (PHYSICS, PHYSICS - {"follower pressure"}):
         world = press_world(effects)
@@ -106,8 +106,8 @@ def test_the_effect_of_follower_pressure_agrees_with_its_gate():
 
 
 def test_bending_stiffens_a_thick_membrane_only():
-    """D/(T a^2) of the shipped sheet is 1e-3; of one four times thicker and slack in comparison, 16
-    times that."""
+    """D/(T a^2) of the shipped membrane is 1e-3; for four times the thickness and low tension it is
+    16 times larger."""
     thick = replace(DENSE, membrane=replace(DENSE.membrane, thickness=1.2e-3, pre_stretch=1.005))
     changes = []
     for design in (DENSE, thick):
@@ -165,7 +165,7 @@ def test_gates_open_and_close():
         ),
     )
     assert {"heat exchange", "valve flow"} <= choose(airy).on
-    assert "gravity" not in choose(DENSE, force_error=0.1).on  # 3 mN of sheet against 100 mN
+    assert "gravity" not in choose(DENSE, force_error=0.1).on  # membrane weight of 3 mN, small against 100 mN
     assert "servo dynamics" in choose(replace(DENSE, camera=replace(DENSE.camera, rate=120.0))).on
 
 
@@ -181,7 +181,7 @@ def test_shadows_need_steep_membranes_and_grazing_light():
     # rays of 15 degrees
     assert on(replace(DENSE, camera=low, chamber=replace(DENSE.chamber, depth=5e-3)))
     wide = replace(DENSE, leds=replace(DENSE.leds, ring_radius=0.018))
-    assert on(wide) and not on(DENSE)  # LEDs that look in past the frame's wall, at y = 15 mm
+    assert on(wide) and not on(DENSE)  # LEDs whose light passes the frame's wall, at y = 15 mm
     # light from everywhere throws no shadow
     assert not on(replace(wide, leds=replace(wide.leds, vignetting=0.0)))
 
@@ -201,15 +201,16 @@ def test_a_rig_s_cameras_render_shadows_when_they_are_on(effects, kind):
     [(4e-3, 0.32, 27), (4e-3, 1.2, 39), (8e-3, 1.06, 32), (16e-3, 0.84, 21)],
 )
 def test_slope_next_to_a_sphere_is_that_of_the_simulation(radius, force, measured):
-    """`measured` degrees: the steepest of the sheet through the markers, 13 x 11 vertices, pressed
-    to that force."""
+    """`measured` degrees: the maximum slope of the membrane through the markers, 13 x 11 vertices,
+    at that force."""
     slope = np.degrees(activation_rules.deepest(DENSE, (radius, radius), force))
     # a gate's estimate: 5 degrees move the force error by a third
     assert slope == pytest.approx(measured, abs=5)
 
 
 def test_slopes_in_the_limit_of_small_force():
-    """F = 2 pi R T0 sin(t)^2 without gas: a cap of a sphere in a sheet under constant tension."""
+    """F = 2 pi R T0 sin(t)^2 without gas: a cap of a sphere in a membrane under constant
+    tension."""
     bare = replace(DENSE, chamber=replace(DENSE.chamber, supply_gauge=0.0))
     expected = np.sqrt(1e-4 / (2 * np.pi * 4e-3 * DENSE.membrane.pretension))
     # stretch: of order t^2 x 6

@@ -82,7 +82,7 @@ def test_an_objects_contact_bits_do_not_matter():
         model, data, sensor = bound(spec, attach_membrane(spec, "dense", site="tip"))
         sensor.open_valve()
         settle(model, data, sensor)
-        assert data.body("ball").xpos[2] > 0.443  # it lies on the membrane
+        assert data.body("ball").xpos[2] > 0.443  # the object lies on the membrane
         depths.append(bulge(sensor))
     # the same contacts, whatever bit they have
     np.testing.assert_allclose(depths, depths[0], rtol=1e-6)

@@ -77,7 +77,7 @@ def test_one_step_equals_many_at_a_constant_relative_rate():
 @pytest.mark.parametrize("step", [1e-3, 8e-3])
 def test_stiffness_is_the_response_of_the_next_step(chamber, step):
     def pressure(change):
-        gas = closed(0.0, **chamber)  # at ambient pressure and temperature: nothing flows by itself
+        gas = closed(0.0, **chamber)  # at ambient pressure and temperature: no flow
         gas.advance(VOLUME + change, step)
         return gas.gauge_pressure
 
@@ -136,7 +136,7 @@ def test_a_leak_and_a_puncture_change_only_the_pressure():
 
 
 def test_ambient_pressure_and_temperature_are_parameters():
-    """On a mountain (70 kPa) the same gauge pressure in the same volume is softer: k = p / V."""
+    """At high altitude (70 kPa) the same gauge pressure in the same volume is softer: k = p / V."""
     low, high = (closed(1000.0, ambient=a) for a in (70e3, 100e3))
     assert low.stiffness(1e-3) / high.stiffness(1e-3) == pytest.approx(71 / 101, rel=1e-12)
     cold = closed(1000.0, temperature=253.15)

@@ -25,8 +25,8 @@ PAIR = ((-0.009, 0.002), (0.009, -0.002))
 
 
 class Truth:
-    """The paper's membrane as triangles: at rest, under one oblique patch, and under two
-    patches."""
+    """Ground truth of the paper's membrane as triangles: at rest, under one oblique patch, and
+    under two patches."""
 
     def __init__(self):
         d = load_sensor("dense")
@@ -72,7 +72,7 @@ class Truth:
 
 
 def make_markers(p, noise=6e-6, n=None):
-    # NaN: not known
+    # NaN: unknown
     n = np.full(p.shape, np.nan) if n is None else n / np.linalg.norm(n, axis=1)[:, None]
     return Markers(np.arange(len(p)), p, n, np.tile(np.eye(3) * noise**2, (len(p), 1, 1)))
 
@@ -118,7 +118,8 @@ def test_force_torque_and_pressure_of_an_oblique_patch(sensor, truth):
     estimator, rest = sensor
     shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
     traction = estimator.traction(shape)
-    # asked: 0.02 N (dense), 0.04 N (paper16); triangles are up to 3 % stiffer under a patch of 6 mm
+    # required: 0.02 N (dense), 0.04 N (paper16); triangles are up to 3 % stiffer under a patch of 6
+    # mm
     assert traction.wrench[2] == pytest.approx(OBLIQUE[2], abs=0.03)
     np.testing.assert_allclose(traction.wrench[:2], OBLIQUE[:2], atol=0.015)
     torque = np.cross(truth.pressed, truth.load).sum(axis=0)
@@ -140,7 +141,7 @@ def test_patch_lies_where_the_load_is(sensor, truth):
     patches = find_patches(estimator, shape, rest)
     assert len(patches) == 1
     where = np.abs(truth.load[:, 2]) @ truth.pressed[:, :2] / np.abs(truth.load[:, 2]).sum()
-    # twice the mean that bench touch asks for
+    # twice the mean required by bench touch
     np.testing.assert_allclose(patches[0].centroid, where, atol=6e-4)
     assert 0.5e-3 < patches[0].depth < 4e-3
     # a parabola of radius 6 mm has most of its force within 4 mm (50 mm^2) and none beyond 6 mm
@@ -189,8 +190,8 @@ def test_mirror_image_gives_the_mirrored_wrench(sensor, truth):
 
 
 def test_covariance_is_that_of_errors_sampled_from_prior_and_noise(sensor, truth):
-    """Draw tractions from the prior and noise from the markers; the linear estimate must err by the
-    predicted covariance."""
+    """Tractions are sampled from the prior and noise from the markers; errors of the linear
+    estimate have the predicted covariance."""
     estimator, rest = sensor
     shape = estimator.estimate(truth.markers(estimator.design, truth.pressed), rest)
     gain = shape.gain
@@ -210,14 +211,15 @@ def test_covariance_is_that_of_errors_sampled_from_prior_and_noise(sensor, truth
     error = moment @ (root @ (seen.T @ np.linalg.solve(S, y)) - t)
     predicted = np.sqrt(np.diag(estimator._posterior(shape, estimator.node_positions(shape.c))))
     fraction = np.sqrt(estimator.posterior_fraction(shape))
-    # 400 draws: 3.5 %, six of them
+    # 400 samples: 3.5 %, six of them
     np.testing.assert_allclose(error.std(axis=1) * fraction, predicted, rtol=0.12)
 
 
 @pytest.mark.parametrize(("young", "tauter"), [(1.0, 0.01), (1.0, -0.01), (1.06, 0.005)])
 def test_a_membrane_with_another_mounting_estimates_shear(young, tauter):
-    """Twice the pre-stretch's sd off, or both one sd: with all of the bulge's height put down to
-    the rubber shear was 14, 13 and 7 % off. The normal force is the pressure's, whatever it is."""
+    """The pre-stretch is off by two sd, or both parameters by one sd. With the bulge height
+    attributed to the rubber alone, shear errors were 14, 13 and 7 %. The normal force depends only
+    on the pressure."""
     nominal = load_sensor("dense")
     estimator = InverseMembrane(nominal)
     rubber = nominal.membrane
@@ -247,12 +249,12 @@ def test_a_membrane_with_another_mounting_estimates_shear(young, tauter):
 
 def test_softer_rubber_is_absorbed_by_the_rest_state(truth):
     """With a modulus 10 % too high in the file, the estimator infers it from the bulge, and the
-    force is still right."""
+    force is still accurate."""
     nominal = load_sensor("dense")
     wrong = replace(nominal, membrane=replace(nominal.membrane, young=1.1 * nominal.membrane.young))
     estimator = InverseMembrane(wrong)
     rest = estimator.rest_state(truth.markers(nominal, truth.rest), SUPPLY)
-    # a part is put down to the pre-stretch, with which the bulge goes a little otherwise
+    # a part is attributed to the pre-stretch, which changes the bulge differently
     assert rest.stiffness_scale == pytest.approx(1 / 1.1, abs=0.03)
     wrench = estimator.traction(
         estimator.estimate(truth.markers(nominal, truth.pressed), rest)
@@ -267,7 +269,7 @@ def test_starting_from_the_last_frame_gives_the_same_force(sensor, truth):
     warm = estimator.estimate(markers, rest, cold)
     assert warm.steps <= cold.steps
     difference = estimator.traction(warm).wrench[:3] - estimator.traction(cold).wrench[:3]
-    assert np.abs(difference).max() < 0.01  # reweighting goes on, within the error bar
+    assert np.abs(difference).max() < 0.01  # reweighting continues, within the standard deviation
 
 
 # -- slopes of the markers
@@ -325,4 +327,4 @@ def test_a_wrong_slope_is_excluded(truth):
         estimator.traction(estimator.estimate(m, rest)).wrench[2]
         for m in (markers, replace(markers, n_S=n))
     )
-    assert wrong == pytest.approx(right, abs=0.01)  # 14 of 16 slopes instead of 16; asked 0.04 N
+    assert wrong == pytest.approx(right, abs=0.01)  # 14 of 16 slopes; required: 0.04 N

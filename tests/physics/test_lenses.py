@@ -19,8 +19,8 @@ LENSES = {
 
 @cache
 def force(lens):
-    """Return estimated and true force, N, of a sphere pressed 2.5 mm into a sensor whose camera
-    sees 90 degrees."""
+    """Return estimated and true force, N, of a sphere pressed 2.5 mm into a sensor whose camera has
+    a field of view of 90 degrees."""
     design = load_sensor("dense")
     fields = LENSES[lens]
     model = "plumb_bob" if lens == "pinhole" else lens

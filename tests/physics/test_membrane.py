@@ -40,7 +40,7 @@ def sensor(aspect=4 / 3, poisson=0.45, pre_stretch=1.05, **chamber):
 
 
 def hookean(design):
-    """Its sheet St. Venant-Kirchhoff's, which is Hooke's law at small strains: rubber's bulge is
+    """Use St. Venant-Kirchhoff's law, which is Hooke's law at small strains: the bulge of rubber is
     0.8 % higher at 0.5 %."""
     return replace(design, membrane=replace(design.membrane, law=Law.STVK))
 
@@ -91,7 +91,7 @@ def test_fine_mesh_is_within_0_3_percent(pre_stretch):
 
 def test_bulge_converges_at_second_order():
     design = sensor(1.0)
-    # the cubic term is 1e-4 of the linear one; the 1 nm within which a sheet sleeps, 2e-5
+    # the cubic term is 1e-4 of the linear one; the 1 nm within which a membrane sleeps, 2e-5
     heights = []
     pressure = 20.0
     for n in (9, 17, 33):
@@ -154,7 +154,7 @@ def test_markers_follow_the_surface():
 
 
 def test_sealed_gas_keeps_its_amount_under_outside_pressure():
-    """Boyle, seen from outside: a plate presses the bulge in; pressure and *independently* taken
+    """Boyle's law from outside: a plate indents the bulge; pressure and *independently* computed
     volume follow p V."""
     design = sensor()
     world = pressed(design, depth=2e-3)

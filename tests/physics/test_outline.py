@@ -118,7 +118,7 @@ def test_a_bad_polygon_of_a_file_is_named(tmp_path):
         load_sensor(path)
 
 
-# -- the sheet
+# -- the membrane
 
 
 def disc_height(design, pressure, elements=60):
@@ -231,7 +231,8 @@ def test_the_stiffness_is_the_derivative_of_the_forces(outline):
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
 def test_a_load_on_the_membrane_is_estimated_where_it_is(design):
-    """Markers of the very sheet under a known load, so that only the inverse can be wrong."""
+    """The markers are those of the same membrane under a known load, so that only the inverse can
+    be wrong."""
     estimator = InverseMembrane(design)
     markers = design.markers
 
@@ -316,14 +317,14 @@ def test_the_housing_surrounds_the_outline(name):
     assert covered.all()
 
 
-@pytest.mark.slow  # the one that goes through images: a marker cut by the frame would be lost here
+@pytest.mark.slow  # with images: a marker cut by the frame would be lost here
 def test_a_press_on_an_ellipse_is_estimated_through_its_images():
     plan = IndentationPlan(Indenter("sphere", 7e-3), [1.5e-3, 3e-3], at=(-6e-3, 3e-3))
     result = press(ELLIPSE, plan, seed=1)
     for step in result["steps"]:
         off = np.subtract(step["force_estimated_N"], step["force_true_N"])
         assert step["status"] == "ok"
-        assert np.abs(off).max() < 0.02  # as on rectangles; 6 mN rms over places and bodies
+        assert np.abs(off).max() < 0.02  # as on rectangles; 6 mN rms over positions and shapes
     shape = result["shape"]
     assert shape["kind"] == "smooth"
     off = abs(shape["radius_mm"] - 7)
@@ -332,7 +333,8 @@ def test_a_press_on_an_ellipse_is_estimated_through_its_images():
 
 
 def test_the_edge_of_a_round_frame_is_no_marker():
-    """Its ring is a circle that all markers are in; taken for one of them, it touches them all."""
+    """The ring of the frame is a circle around all markers; detected as a marker, it would touch
+    all others."""
     view = np.full((480, 640), 180, np.uint8)
     cv2.circle(view, (320, 240), 200, 60, 24)
     for x, y in ((260, 200), (320, 200), (260, 260), (320, 260), (320, 320)):

@@ -47,8 +47,8 @@ def test_round_objects_and_faces_use_vertex_contacts(indenter):
 
 
 def test_a_ball_between_vertices_comes_to_rest():
-    """A ball of 2 mm where two cells overlap: one vertex takes it and keeps it, so that the press
-    comes to rest."""
+    """For a ball of 2 mm in the overlap of two cells, one vertex keeps the contact, so that the
+    indentation comes to rest."""
     world = PressWorld(load_sensor("paper16"), Indenter.parse("sphere:2"), at=(1.1e-3, 1.2e-3))
     world.inflate(1000.0, seal=True)
     assert world.press(DEPTH, speed=0.04)

@@ -29,7 +29,7 @@ def sensor(tmp_path):
 
 @pytest.fixture
 def fast_probe(tmp_path):
-    """The probe's controller, in more of a hurry, with other values of more constants."""
+    """Provide the controller `probe` with shorter times and other constants."""
 
     def controller(**constants):
         text = shipped_with("probe", HOLD_TIME=1.0, REST_TIME=0.8, **constants)
@@ -63,7 +63,7 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor,
     assert found["stiffness_N_m"] == pytest.approx(
         sample.secant_stiffness(found["force_N"]), rel=0.15
     )
-    # the area of the contact comes in besides, from markers 3 to 4 mm apart on a face of 18 x 16 mm
+    # it also includes the contact area, from markers 3 to 4 mm apart on a face of 18 x 16 mm
     assert found["modulus_kPa"] == pytest.approx(1e-3 * sample.modulus(found["force_N"]), rel=0.4)
     assert found["relaxation_time_s"] == 0 and abs(found["permanent_set_mm"]) < 0.15
     assert {"probe.json", "probe.png", "probe.html", "recording"} <= {

@@ -36,12 +36,12 @@ class Patch:
         self.flat = mesh.p_SV
         self.relaxation = relaxation
         self.rubber = RelaxingMesh(mesh, DENSE.membrane, relaxation)
-        # the lasting stress of the mounted sheet, Pa
+        # the long-term stress of the mounted membrane, Pa
         self.at_rest = self.rubber._memory[0, :, 0].copy()
 
     def stretched(self, by, elapsed):
-        """Lasting and total stress along x, beyond the mounted sheet's, stretched `by` both ways
-        for `elapsed` s since the last call."""
+        """Return long-term and total stress along x, minus those of the mounted membrane, at the
+        biaxial stretch `by` for `elapsed` s since the last call."""
         self.rubber._advance(self.flat * [1 + by, 1 + by, 1], elapsed)
         lasting = self.rubber._memory[0, :, 0]
         mine = self.relaxation.quick * lasting - self.rubber._memory[1:, :, 0].sum(axis=0)
@@ -90,7 +90,7 @@ def test_strain_creeps_under_a_constant_stress():
 
 @pytest.mark.parametrize("frequency", [0.2, 1.0, 5.0])
 def test_a_sinusoid_lags_by_its_loss_angle(frequency):
-    """Complex modulus over the lasting one: 1 + sum a_i i w tau_i / (1 + i w tau_i)."""
+    """Complex modulus over the long-term modulus: 1 + sum a_i i w tau_i / (1 + i w tau_i)."""
     patch = Patch(TWO)
     omega = 2 * np.pi * frequency
     times = STEP * np.arange(round(15 / STEP))
@@ -106,7 +106,7 @@ def test_a_sinusoid_lags_by_its_loss_angle(frequency):
 
 
 def test_a_load_cycle_gains_no_energy():
-    """Work done on the sheet over closed paths that end where and as they began."""
+    """The work on the membrane over closed cycles is not negative."""
     rng = np.random.default_rng(5)
     for softening in (0.0, 0.2):
         relaxation = Relaxation(((0.3, 0.05), (0.2, 1.0)), softening, 5e3)
@@ -118,7 +118,7 @@ def test_a_load_cycle_gains_no_energy():
                 for k, phase in enumerate(phases)
             )
             strains = 0.02 * (path - path[0])
-            for _ in range(4):  # of 2 s: transients gone: the same cycle again and again
+            for _ in range(4):  # of 2 s: without transients, a periodic cycle
                 stress = np.array([patch.stretched(strain, STEP)[1] for strain in strains])
             stretch = (1 + strains) ** 2 / 2  # S is conjugate to Green's strain
             work = ((stress[1:] + stress[:-1]) / 2 * np.diff(stretch)).sum()
@@ -172,7 +172,7 @@ def test_a_membrane_without_relaxation_reports_it(left_out):
 
 @pytest.mark.slow
 def test_force_remains_accurate_while_rubber_relaxes():
-    """With the relaxation section in the sensor file the force stays right while the rubber
+    """With the relaxation section in the sensor file the force remains accurate while the rubber
     relaxes.
 
     The load is 0.9 N, and nearly half of the instantaneous stress relaxes. Without the section the
@@ -191,7 +191,7 @@ def test_force_remains_accurate_while_rubber_relaxes():
     # of the means of five images: one has 7 mN of noise
     drift = np.abs(np.mean(errors[-5:], axis=0) - np.mean(errors[:5], axis=0))
     worst = np.abs(errors).max(axis=0)
-    assert worst[0] < 0.03  # asked; of 0.9 N
+    assert worst[0] < 0.03  # required; of 0.9 N
     assert drift[1] > 2 * drift[0]
     world.drive(-3e-3)
     world.step(100)

@@ -1,5 +1,4 @@
-"""The rest reference is taken from a membrane that nothing touches, or refused; a sensor that is
-merely different is taken."""
+"""Tests of the rest reference: refused with contact, accepted for sensors with other parameters."""
 
 from dataclasses import replace
 
@@ -53,8 +52,8 @@ def references(
 
 
 def random_as_built(rng):
-    """Stiffness within 30 %, focal length 3 %, centre 6 px, k1 0.04, the camera moved and turned,
-    larger markers."""
+    """Sample stiffness within 30 %, focal length 3 %, center 6 px, k1 0.04, a displaced and rotated
+    camera, larger markers."""
 
     def off(maximum):
         return float(rng.uniform(-maximum, maximum))

@@ -16,7 +16,7 @@ from mjtactile.sim.doctor import examine_simulated
 from mjtactile.sim.scenes import mjcf_trial
 from mjtactile.sim.scenes.grasp_world import GraspWorld
 
-MESH = (11, 9)  # neither kinematics nor balance depend on the mesh, so take a cheap one
+MESH = (11, 9)  # neither kinematics nor balance depend on the mesh: use a cheap mesh
 RIGS = ("sim", "sim_arm", "sim_three_finger")
 ONE_AND_THE_REST = ["sim", *(pytest.param(name, marks=pytest.mark.slow) for name in RIGS[1:])]
 GRAVITY = 9.81
@@ -76,7 +76,7 @@ def test_a_robot_starts_open_at_the_grasp_height_of_the_object(name):
     opening = 2 * np.mean(np.sum((centre - p_WS) * R_WS[:, :, 2], axis=1))
     assert opening == pytest.approx(world.opening, abs=1e-6) == pytest.approx(0.08, abs=1e-6)
     world.step(25)
-    assert abs(world.lift_height) < 1e-5 and abs(world.opening - 0.08) < 1e-5  # it stands still
+    assert abs(world.lift_height) < 1e-5 and abs(world.opening - 0.08) < 1e-5  # the robot is at rest
 
 
 @pytest.mark.parametrize("name", RIGS)

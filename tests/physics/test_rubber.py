@@ -1,4 +1,4 @@
-"""Neo-Hookean rubber, right from the pre-stretch on: law, simulated sheet and sensing's sheet
+"""Tests of neo-Hookean rubber, including pre-stretch: law, simulated membrane and sensing membrane
 against independent solutions."""
 
 import json
@@ -41,8 +41,8 @@ def design_of(case, law=Law.NEO_HOOKEAN):
 
 
 def energy(C, young, poisson):
-    """W of the neo-Hookean sheet in plane stress, J/m^3: the least over the thickness's stretch, by
-    a fine search."""
+    """Return W of the neo-Hookean membrane in plane stress, J/m^3: the minimum over the thickness
+    stretch, by a fine search."""
     mu = young / (2 * (1 + poisson))
     bulk = young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     c = np.exp(np.linspace(-2, 1, 3001))
@@ -166,7 +166,7 @@ def test_sensing_bulge_equals_the_reference(case, law):
 
 
 def test_the_independent_membrane_equals_the_reference():
-    """`ReferenceMembrane`, which other tests judge by, is a third code: linear triangles."""
+    """`ReferenceMembrane`, the reference of other tests, is a third code: linear triangles."""
     d = design_of(CASES[0])
     case = CASES[0]
     fem = ReferenceMembrane(

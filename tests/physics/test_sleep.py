@@ -1,5 +1,5 @@
-"""A sensor that touches nothing sleeps: nothing of it is left in the solve, and it wakes exactly as
-it was."""
+"""Tests of sleep: a sensor without contact adds no variables to the solve, and wakes in its
+previous state."""
 
 import mujoco
 import numpy as np
@@ -56,8 +56,8 @@ def test_a_press_after_sleep_is_the_press_without_it():
 
 
 def test_an_open_valve_keeps_the_sensor_awake():
-    """Opened right before the look that lets it sleep, when the valve's pressure has not reached
-    the sheet yet."""
+    """The valve opens right before the check for sleep, when its pressure has not reached the
+    membrane."""
     world = inflated()
     sensor = world.sensors[0]
     while sensor._sleeper._calm < 2 or world.time - sensor._sleeper._time < 0.01:

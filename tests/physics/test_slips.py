@@ -1,5 +1,5 @@
-"""A body that is dragged past two sensors: by truth it slides as fast as they move, and the cameras
-see it in time."""
+"""Tests of slip of a body dragged past two sensors: the true speed is that of the sensors, and slip
+is detected in time."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_ground_truth_slip_speed_is_the_drag_speed():
     late = slice(-20, None)
     # within friction's accuracy of 3 %, and vertices that stick
     assert np.mean(used[late]) == pytest.approx(1.0, abs=0.05)
-    # the sheet still stretches a little
+    # the membrane still stretches slightly
     assert np.mean(speeds[late]) == pytest.approx(1e-3 * CASE.rise, rel=0.15)
 
 

@@ -80,8 +80,8 @@ def test_a_thick_membrane_and_a_coarse_mesh_are_flagged():
 
 
 def test_a_body_that_passes_the_membrane_stops_the_run():
-    """A sheet of paper at 30 m/s moves its own thickness 600 times in a step: it is never seen in
-    contact."""
+    """A sheet of paper at 30 m/s moves by 600 times its thickness in a step, so that no contact is
+    detected."""
     world = DropWorld(
         "paper16", FreeObject("plate", 2e-4, 1e-3), gauge_pressure=1000.0, speed=30.0, guided=True
     )
@@ -132,5 +132,5 @@ def test_the_gas_is_implicit_in_every_step():
     for _ in range(300):
         world.step()
         energies.append(world.kinetic_energy)
-    # J: a sheet of 0.3 g at 1 mm/s; it was left at a hundredth of that
+    # J: a membrane of 0.3 g at 1 mm/s; measured: a hundredth of that
     assert max(energies) < 1e-10

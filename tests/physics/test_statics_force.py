@@ -17,7 +17,7 @@ SUPPLY = 1000.0  # gauge pressure, Pa
 
 
 class Bench:
-    """One sensor design on the reference membrane, inflated and sealed."""
+    """Sensor on the reference membrane, inflated and sealed."""
 
     def __init__(self, name: str, young_factor: float = 1.0):
         self.design = d = load_sensor(name)
@@ -90,7 +90,7 @@ def test_net_force_and_pressure(dense, force, center, radius):
 
 
 def test_torque_is_the_moment_of_the_patch(dense):
-    """A patch off the middle: M = sum of x cross f over the loaded nodes of the independent
+    """For a patch off the center, M = sum of x cross f over the loaded nodes of the independent
     membrane."""
     force = np.array([0.1, 0.0, -0.6])
     r2 = np.sum((dense.fem.X - (0.005, 0.003)) ** 2, axis=1) / 0.006**2
@@ -99,7 +99,7 @@ def test_torque_is_the_moment_of_the_patch(dense):
     x, _ = dense.fem.solve(load, sealed=dense.sealed, x=dense.x0)
     markers = dense.markers(x)
     torque = dense.estimator.wrench(markers.ids, markers.p_SM, dense.rest)[0][3:]
-    # 0.6 N at 0.3 mm, the accuracy asked of a contact's place
+    # 0.6 N at 0.3 mm, the required accuracy of a contact position
     np.testing.assert_allclose(torque, np.cross(x, load).sum(0), atol=0.6 * 3e-4)
 
 

@@ -1,5 +1,5 @@
-"""`advance` is `mj_step`: bit for bit with the same tolerance in both solves, to the tolerance
-without the first one."""
+"""Tests of `advance` against `mj_step`: bit-identical with the same tolerance in both solves,
+within the tolerance without the first solve."""
 
 import mujoco
 import numpy as np
@@ -22,7 +22,7 @@ STEPS = 40  # of 4 ms: the ball falls on, bounces and rolls
 
 
 def scene(more=""):
-    """A ball that falls onto a sensor on a hand that lies on its joint's limit."""
+    """Return a scene of a ball that falls onto a sensor, whose arm rests at its joint limit."""
     spec = mujoco.MjSpec.from_string(SCENE.format(more=more))
     configure_options(spec)
     attachment = attach_membrane(spec, "dense", site="tip", mesh=(9, 7))
@@ -42,8 +42,8 @@ def state(model, data):
 def pairs(model, data, sensor, **how):
     """States after each step of `advance`, and of `mj_step` from the same state.
 
-    Halfway the hand is struck. The last step's acceleration is then a bad start for the solver, and
-    the result depends on the first solve.
+    Halfway an impulse acts on the arm. The last step's acceleration is then a bad start for the
+    solver, and the result depends on the first solve.
     """
     twin = mujoco.MjData(model)
     for count in range(STEPS):
@@ -69,7 +69,7 @@ def test_without_the_first_solve_step_equals_mj_step_within_the_tolerance(tolera
     """The step equals mj_step within the tolerance.
 
     Two solutions with different starts differ by the tolerance's effect. The limit in m/s is four
-    times the maximum measured; the hand is struck with 0.2 m/s.
+    times the maximum measured; the impulse changes the arm's velocity by 0.2 m/s.
     """
     model, data, sensor = scene()
     model.opt.tolerance = tolerance

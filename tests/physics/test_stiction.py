@@ -1,5 +1,5 @@
-"""Static friction holds, friction slides at mu N, depth costs nothing, and a spinning sensor keeps
-its angular momentum."""
+"""Tests of friction: sticking holds, sliding has mu N, contact depth stores no energy, and a
+spinning sensor keeps its angular momentum."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ def test_shear_of_a_drag_is_that_of_a_membrane_that_sticks():
 
 
 def test_a_sticking_contact_does_not_yield():
-    """With friction that never slips, the shear is the sheet's alone: the same at any step."""
+    """With unlimited friction, the shear is that of the membrane alone, for any time step."""
     shears = []
     for timestep in (2e-3, 8e-3):
         world = pressed(friction=5.0, timestep=timestep)
@@ -138,7 +138,7 @@ def test_a_touching_object_lies_on_the_membrane_at_any_contact_stiffness(monkeyp
     for factor in (0.5, 1, 2):
         monkeypatch.setattr("mjtactile.sim.sensor.membrane.VERTEX_DEPTH", factor * 160e-6)
         world = pressed()
-        world.step(50)  # it is at rest before the last of the depth is taken back
+        world.step(50)  # the contact is at rest before the depth is completely reduced
         forces.append(-ground_truth.contact_force(world, 0)[2])
         assert (
             ground_truth.penetration(world, 0) < 2e-6
@@ -167,7 +167,7 @@ def test_a_spinning_sensor_keeps_its_angular_momentum(timestep, axis):
     world.turn(axis)
     before = world.angular_momentum
     world.step(round(1.0 / timestep))
-    assert world.angular_momentum == pytest.approx(before, rel=0.01)  # at 4 ms it was gone in 0.4 s
+    assert world.angular_momentum == pytest.approx(before, rel=0.01)  # at 4 ms the shear decayed in 0.4 s
 
 
 def test_a_sleeping_sensor_gets_no_torque():

@@ -29,7 +29,7 @@ MASS = 0.02  # kg of the vial
 
 
 def world_with(*events):
-    """A vial on the table under the open hand, which counts as up at once."""
+    """Return a vial on the table under the open gripper, whose lift counts as finished."""
     world = GraspWorld("paper16", "vial", mesh=MESH)
     happens = DisturbanceSchedule(world, events, 0.0)
     world.after_each_step(happens.step)
@@ -64,7 +64,7 @@ def test_a_filled_object_presses_on_the_table_with_its_weight():
 def test_a_push_changes_momentum_by_its_impulse():
     world = world_with(event("push", 0.02, 0.04, (0.0, 0.0, 1.0), impulse=0.02))
     advance(world, 0.12)
-    # upward, off the table: m dv = impulse - weight * time in the air, which is since it began
+    # upward, off the table: m dv = impulse - weight * time since its start
     flight = world.time - 0.02
     assert MASS * velocity(world)[2] == pytest.approx(0.02 - MASS * 9.81 * flight, abs=8e-4)
 
@@ -134,7 +134,8 @@ def test_water_on_one_side_does_not_change_friction_of_the_other():
 
 
 def test_a_second_object_presses_with_its_weight_and_can_fall():
-    """The table carries both weights; m g of 20 g and 30 g. Pushed aside, the second has fallen."""
+    """The table carries both weights; m g of 20 g and 30 g. Pushed sideways, the second object
+    falls."""
     put = event("stack", 0.0, 0.1, added_mass=0.03, size=0.014)
     world = GraspWorld("paper16", "vial", mesh=MESH, stacked=put)
     second = world.second_object
@@ -294,7 +295,8 @@ def test_a_person_keeps_a_released_object_at_its_position():
 
 
 def test_an_object_touched_by_one_finger_is_not_pulled_and_stays_taken():
-    """Two fingers hold it; one does not, and who has it is not pulled at again when it touches."""
+    """Two fingers hold an object; one does not, and a released object is not pulled again after a
+    touch."""
     happens = DisturbanceSchedule(GraspWorld("paper16", "vial", mesh=MESH), [], 0.0)
     touched = [SimpleNamespace(is_touched=True), SimpleNamespace(is_touched=True)]
     world = happens._world
@@ -320,7 +322,7 @@ def test_an_object_that_slides_out_of_a_closed_gripper_is_not_handed_over(
     monkeypatch.setattr(TaskScorer, "is_up", lambda _: True)
     scorer.after_step_batch([0.4, 0.4], "hold")
     advance(scorer.world, 0.2)
-    scorer.after_step_batch([0.0, 0.9], phase)  # pressed against one finger it is held by none
+    scorer.after_step_batch([0.0, 0.9], phase)  # an object pressed against one finger is not held
     assert scorer.failure() == failure
     assert scorer.measures()["release_delay_s_true"] == pytest.approx(
         0.2, abs=0.01
@@ -335,7 +337,7 @@ def test_required_grip_is_coulombs_for_a_centered_grip():
     """
     world = GraspWorld("paper16", "vial", mesh=MESH)
     scorer = TaskScorer(world, load_task("lift"))
-    assert scorer.need() == 0.0  # nothing touches
+    assert scorer.need() == 0.0  # no contact
     world.set_finger_target(0.0, 0.5)
     advance(world, 1.6)
     friction = world.sensors[0].design.membrane.friction
