@@ -24,7 +24,7 @@ _HIGH = 3.0
 
 
 def volume_and_gradient(mesh: MembraneMesh, p_SV: Array) -> tuple[float, Array]:
-    """V (m^3) over the flat sheet and dV/dp (k, 3) m^2 at the interior vertices."""
+    """V (m^3) over the flat membrane and dV/dp (k, 3) m^2 at the interior vertices."""
     a, b, c = (p_SV[mesh.triangles[:, i]] for i in range(3))
     area = 0.5 * np.cross(b - a, c - a)
     gradient = np.zeros_like(p_SV)

@@ -1,5 +1,5 @@
-"""The sheet by products of small matrices and dense factors: sensing/force/spline_fem.py in numpy.
-Stiffness and residual are component by component, (3 n, 3 n) and (3, n)."""
+"""The membrane by products of small matrices and dense factors: sensing/force/spline_fem.py in
+numpy. Stiffness and residual are component by component, (3 n, 3 n) and (3, n)."""
 
 from __future__ import annotations
 

@@ -59,8 +59,8 @@ class Spline:
             self.cholesky.astype(np.float32), gradients, lower=True, overwrite_b=True
         )
         *rough, area_var, volume_var = np.einsum("ij,ij->j", half, half).tolist()
-        # noise makes a flat sheet's area larger, to second order: E = trace(stiffness covariance) /
-        # 2
+        # noise makes a flat membrane's area larger, to second order: E = trace(stiffness
+        # covariance) / 2
         rough = sum(rough) / 2
         area_sd, volume_sd = (
             float(np.sqrt(self.misfit * v)) for v in (area_var + rough**2, volume_var)

@@ -271,7 +271,7 @@ def test_two_membranes_hold_a_plate_by_friction():
         right += ground_truth.contact_force(world, 1) / 50
     # the solver's noise; both load the same membrane
     assert left[2] == pytest.approx(right[2], rel=0.01)
-    # S has x down on the left finger and up on the right. 3 %: the sheet still creeps by
+    # S has x down on the left finger and up on the right. 3 %: the membrane still creeps by
     # micrometres
     assert left[0] - right[0] == pytest.approx(world.weight, rel=0.03)
     assert world.drop < 3e-4  # drop in m: the membranes shear under 2 g

@@ -153,8 +153,8 @@ def test_bulge_of_a_disc_is_the_exact_neo_hookean_solution(stretch, load, height
     world = scene(circle(poisson), MESH)
     settle(world, load_SI)
     assert height(world) / RADIUS == pytest.approx(height_ratio, rel=TOLERANCE)
-    # M7's secant is taken at one stretch for the whole sheet, fitted to rectangles at nu 0.45: 3.7
-    # % low at a stretch of 1.1
+    # M7's secant is taken at one stretch for the whole membrane, fitted to rectangles at nu 0.45:
+    # 3.7 % low at a stretch of 1.1
     assert analytical_solutions.bulge_height(circle(poisson), load_SI) / RADIUS == pytest.approx(
         height_ratio, rel=0.04
     )

@@ -165,7 +165,9 @@ def test_gates_open_and_close():
         ),
     )
     assert {"heat exchange", "valve flow"} <= choose(airy).on
-    assert "gravity" not in choose(DENSE, force_error=0.1).on  # membrane weight of 3 mN, small against 100 mN
+    assert (
+        "gravity" not in choose(DENSE, force_error=0.1).on
+    )  # membrane weight of 3 mN, small against 100 mN
     assert "servo dynamics" in choose(replace(DENSE, camera=replace(DENSE.camera, rate=120.0))).on
 
 

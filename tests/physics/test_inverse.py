@@ -310,7 +310,7 @@ def test_slopes_reduce_the_error_of_sparse_markers(truth):
         abs(estimator.traction(estimator.estimate(m, rest)).wrench[2] + 0.85)
         for m in (markers, blind)
     )
-    # 0.01 N and 0.028 N; triangles of 1.25 mm are stiffer than the sheet by up to 3 % under a
+    # 0.01 N and 0.028 N; triangles of 1.25 mm are stiffer than the membrane by up to 3 % under a
     # patch, 0.5 % under this one
     assert seeing < 0.015 < 0.02 < blind
 

@@ -76,7 +76,9 @@ def test_a_robot_starts_open_at_the_grasp_height_of_the_object(name):
     opening = 2 * np.mean(np.sum((centre - p_WS) * R_WS[:, :, 2], axis=1))
     assert opening == pytest.approx(world.opening, abs=1e-6) == pytest.approx(0.08, abs=1e-6)
     world.step(25)
-    assert abs(world.lift_height) < 1e-5 and abs(world.opening - 0.08) < 1e-5  # the robot is at rest
+    assert (
+        abs(world.lift_height) < 1e-5 and abs(world.opening - 0.08) < 1e-5
+    )  # the robot is at rest
 
 
 @pytest.mark.parametrize("name", RIGS)

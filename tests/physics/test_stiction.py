@@ -167,7 +167,7 @@ def test_a_spinning_sensor_keeps_its_angular_momentum(timestep, axis):
     world.turn(axis)
     before = world.angular_momentum
     world.step(round(1.0 / timestep))
-    assert world.angular_momentum == pytest.approx(before, rel=0.01)  # at 4 ms the shear decayed in 0.4 s
+    assert world.angular_momentum == pytest.approx(before, rel=0.01)  # at 4 ms it decayed in 0.4 s
 
 
 def test_a_sleeping_sensor_gets_no_torque():

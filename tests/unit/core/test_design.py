@@ -163,7 +163,7 @@ def near_camera(distance_mm, **camera):
 
 def test_markers_outside_the_image_are_named_with_the_distance_that_shows_all():
     """The edge of a marker at y = 13 mm reaches v = 240 px at 13 * 600 / 240 = 32.5 mm; the glass
-    brings it nearer by 0.7 mm. At 28 mm all but the inner 7 x 7 markers are cut."""
+    brings it closer by 0.7 mm. At 28 mm all but the inner 7 x 7 markers are cut."""
     with pytest.raises(InputError) as caught:
         sensor_from_table(near_camera(28.0), name="near", source="near.toml")
     message = str(caught.value)
@@ -176,9 +176,9 @@ def test_markers_outside_the_image_are_named_with_the_distance_that_shows_all():
 
 
 def test_markers_behind_the_fold_of_a_lens_are_not_in_the_image():
-    """1 + k1 r^2 folds at r^2 = -1 / (3 k1): at r = 0.258 for k1 = -5. With the glass 0.7 mm nearer,
-    that is 11.4 mm off the center of the membrane, and the edge of a marker is 1 mm farther than its
-    center. 31 of the markers at (4 i, 3 j) mm are within 10.4 mm of the center."""
+    """1 + k1 r^2 folds at r^2 = -1 / (3 k1): at r = 0.258 for k1 = -5. With the glass 0.7 mm
+    closer, that is 11.4 mm off the center of the membrane, and the edge of a marker is 1 mm farther
+    than its center. 31 of the markers at (4 i, 3 j) mm are within 10.4 mm of the center."""
     centers = [math.hypot(4 * i, 3 * j) for i in range(-4, 5) for j in range(-4, 5)]
     behind = sum(r > 10.4 for r in centers)
     with pytest.raises(InputError, match=f"{behind} of 81 markers outside the image"):

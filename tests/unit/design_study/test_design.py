@@ -187,7 +187,7 @@ def given_camera():
 def test_a_given_field_of_view_and_focus_are_those_of_the_camera():
     design = given_camera()
     assert 2 * math.degrees(math.atan(design.camera.half_view[0])) == pytest.approx(60)
-    # in focus through the glass, which brings the membrane nearer
+    # in focus through the glass, which brings the membrane closer
     apparent = design.camera.distance - design.apparent_glass_thickness
     assert apparent == pytest.approx(30e-3)
     behind = design.glass.distance + design.glass.thickness + design.chamber.depth

@@ -91,7 +91,8 @@ def test_a_turned_square_is_a_square(degrees):
     for turned, straight in zip(bodies(solver, R), bodies(plain, np.eye(3)), strict=True):
         state, other = solver.solve(turned), plain.solve(straight)
         assert state.converged
-        # on nodes 1 mm apart balls and faces are within 2 % of the full sheet (bench quasistatic)
+        # on nodes 1 mm apart balls and faces are within 2 % of the full membrane (bench
+        # quasistatic)
         assert state.force_normal == pytest.approx(other.force_normal, rel=0.03)
         assert state.gauge_pressure == pytest.approx(other.gauge_pressure, rel=5e-3)
         np.testing.assert_allclose(R.T @ state.wrench[:3], other.wrench[:3], atol=6e-3)

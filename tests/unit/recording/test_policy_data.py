@@ -59,7 +59,7 @@ def test_a_cycle_before_any_force_limit_has_no_action(tmp_path):
             recorder.add(cycle)
     actions = policy_data(tmp_path / "run").actions
     assert np.isnan(actions[0]).all()
-    # 4 N of 8 N is the middle of the range; unchanged afterwards
+    # 4 N of 8 N is the center of the range; unchanged afterwards
     np.testing.assert_array_equal(actions[1:, 1], [0.0, 0.0])
 
 

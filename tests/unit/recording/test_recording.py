@@ -292,7 +292,7 @@ def test_a_memory_that_contains_itself(tmp_path, caplog):
 
 @pytest.mark.parametrize("disk_wait_time", [0.0, 0.05])
 def test_a_blocked_disk_does_not_block_the_run(tmp_path, caplog, monkeypatch, disk_wait_time):
-    """The first image takes for ever, or as long as this test; the loop is held up for
+    """The first image takes forever, or as long as this test; the loop is held up for
     `disk_wait_time` at most, once."""
     over = threading.Event()
     monkeypatch.setattr(Path, "write_bytes", lambda *_: over.wait(60))

@@ -1,4 +1,4 @@
-"""Tests of the rendered scene: objects have their geometric surface, and nearer ones hide farther
+"""Tests of the rendered scene: objects have their geometric surface, and closer ones hide farther
 ones."""
 
 import mujoco

@@ -31,7 +31,7 @@ def encoded(gamma, blur_px=0.8):
 
 
 def depth_errors(found):
-    """mm, and in units of the sd; of a circle's two poses that with the nearer depth."""
+    """mm, and in units of the sd; of a circle's two poses that with the closer depth."""
     truth = np.array([c.p_C for c in CIRCLES])
     distance = np.linalg.norm(found.poses.uv_px - optics.project(CAMERA, truth)[:, None], axis=2)
     which = distance.argmin(axis=1)

@@ -41,7 +41,7 @@ def pressed(design, depth=4e-3, shear=1e-3):
     return p, geometry.normal_from_slope(slope[:, 0], slope[:, 1])
 
 
-# of the pitch; beyond a half the next marker is nearer
+# of the pitch; beyond a half the next marker is closer
 @pytest.mark.parametrize("fraction", [1 / 3, 0.45])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_flat_membrane_seen_by_a_displaced_camera(sensor, fraction):

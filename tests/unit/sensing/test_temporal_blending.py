@@ -37,7 +37,7 @@ def blend(design, fraction, **how):
 @pytest.mark.parametrize("sensor", ["dense", "paper16"])
 @pytest.mark.parametrize("fraction", [0.3, 0.5, 0.8])
 def test_the_fraction_of_the_last_image_is_found(sensor, fraction):
-    """Five sd: one sd of a correlation is 1 over the root of 20 pictures' 60 or 13 markers' three
+    """Five sd: one sd of a correlation is 1 over the root of 20 images' 60 or 13 markers' three
     coordinates, and half of the share's."""
     design = load_sensor(sensor)
     free = 60 if sensor == "dense" else 13
@@ -54,7 +54,7 @@ def test_unblended_images_have_no_lag(missing):
 def test_motion_is_not_lag():
     """Motion is not taken for blending, and the earlier estimate stays.
 
-    The dent grows by four sd per image. Alone, this would look like a repeated image.
+    The dent grows by four sd per image. Alone, this would resemble a repeated image.
     """
     design = load_sensor("dense")
     x, y = design.markers.p_SM[:, :2].T

@@ -206,7 +206,7 @@ def test_zero_is_frozen_in_contact_and_a_lost_zero_is_reported():
     assert touch.touching and state.reference is not None and state.reference.rest is rest
     assert touch.contact is not None and touch.contact.area > 0 and len(touch.patches) == 1
     assert touch.slip is not None and touch.slip.state == "sticking"
-    # a step of 3 K without pressure sensor looks like a larger camera image, which is not a force
+    # a step of 3 K without pressure sensor resembles a larger camera image, which is not a force
     assert rest.gas.constant is not None
     hot = replace(rest.gas, constant=rest.gas.constant * 1.01)
     bulged = seen(

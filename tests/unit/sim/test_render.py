@@ -197,4 +197,4 @@ def test_light_falls_off_as_designed_and_follows_the_membrane():
     p[:, 2] = -3e-3 * bubble
     near = Renderer(design).irradiance_image(p, n)
     between = (slice(255, 262), slice(290, 297))  # no marker there in either image
-    assert 1.01 < near[between].mean() / flat[between].mean() < 1.2  # nearer: (45/42)^2
+    assert 1.01 < near[between].mean() / flat[between].mean() < 1.2  # closer: (45/42)^2

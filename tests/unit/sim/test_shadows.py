@@ -250,8 +250,8 @@ def test_camera_rays_end_on_the_membrane():
     uv = optics.project(lens, np.dstack([membrane.xy, z + DOWN]))[4:-4, 4:-4]
     found = bilinear(places, (uv - 1.5) / 4)  # the center of the first block of 4 px is at 1.5
     expected = np.stack(np.meshgrid(np.arange(41), np.arange(31)), axis=-1)[4:-4, 4:-4]
-    # in nodes of 1 mm: bilinear between blocks; without the sheet's height the places were 3 nodes
-    # off
+    # in nodes of 1 mm: bilinear between blocks; without the membrane's height the places were 3
+    # nodes off
     np.testing.assert_allclose(found, expected, atol=0.05)
 
 
