@@ -21,7 +21,7 @@ APPROACH_SPEED = 0.025
 PRESS_SPEED = 0.003
 OPENING_SPEED = 0.015
 CLEAR_TIME_MAX = 4.0  # time of opening and waiting, s, after which a force is not a touch
-# times with the jaws still and, before the second touch, without contact, s
+# times at rest and, before the second touch, without contact, s
 HOLD_TIME = 2.0
 REST_TIME = 1.5
 PRESS_TRAVEL_MAX = 0.010  # maximum closing after the first touch, m; softer objects are held there
@@ -80,7 +80,7 @@ def _close(observation: Observation, command: Command, forces: list[float]) -> C
 
 
 def _hold(observation: Observation, command: Command, forces: list[float]) -> Command:
-    """Keep the jaws still, so that changes of force and shape are due to the object alone."""
+    """Keep the jaws at rest, so that changes of force and shape are due to the object alone."""
     return (
         phases.enter_phase(command, "release")
         if command.memory["phase_time"] >= HOLD_TIME

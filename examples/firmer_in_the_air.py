@@ -5,7 +5,7 @@ mjtactile grasp --controller examples/firmer_in_the_air.py
 The shipped controller grasps. This one adds the pressure of the fingers' chambers. At 0.6 kPa a
 membrane yields to a light touch; at 2 kPa it holds the object without sway. The rig changes the
 pressure as fast as its valves allow (1.2 kPa/s). Estimates remain correct meanwhile, since the
-sensing chain reads the chambers' pressure sensors.
+sensing pipeline reads the chambers' pressure sensors.
 """
 
 from dataclasses import replace

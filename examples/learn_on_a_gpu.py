@@ -4,7 +4,7 @@
     python examples/learn_on_a_gpu.py policy.npz 900 lift,pour,shake,bump  # further, tasks by turns
     MJTACTILE_POLICY=policy.npz mjtactile evaluate --controller policy --objects random
 
-A policy file that exists is learned further. The learner is PPO of rsl-rl-lib, which mjlab and
+Learning continues from an existing policy file. The learner is PPO of rsl-rl-lib, which mjlab and
 Isaac Lab use, too, with tensors that share memory with the worlds. The last command evaluates the
 policy with everything simulated. On a CPU, it takes coarse membranes and an hour of one core.
 """
@@ -50,7 +50,7 @@ FURTHER = LEARNER | {  # of a policy that is learned further: less noise, smalle
 
 def learn(seconds, worlds, device, tasks=("lift",), seed=0, path=None, **changed):
     """Return the learned actor, and the number of decisions. Each task has its own worlds, and the
-    tasks take turns. A policy at `path` is learned further, and saved there with each report."""
+    tasks alternate. Learning continues from a policy at `path`, which is saved with each report."""
     torch.manual_seed(seed)
     how = TASK | (COARSE if device == "cpu" else {}) | changed
     envs = {}

@@ -1,5 +1,5 @@
-"""A camera of your own on a finger: any class with `read`, named in the rig file and found by an
-entry point.
+"""Custom camera on a finger: any class with `read`, named in the rig file and found by an entry
+point.
 
 In your package's pyproject.toml:
 

@@ -278,7 +278,9 @@ def cloud(surface):
 
 if __name__ == "__main__":
     rclpy.init()
-    executor = MultiThreadedExecutor()  # a grasp runs beside /clock, parameters and cancellation
+    executor = (
+        MultiThreadedExecutor()
+    )  # a grasp runs concurrently with /clock, parameters and cancellation
     executor.add_node(TouchNode())
     executor.spin()
     rclpy.shutdown()

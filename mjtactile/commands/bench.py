@@ -125,7 +125,7 @@ OPTIONS = {
 }
 """Options that apply to some benchmarks only."""
 
-_ITS_PAGE = Path()
+_OWN_PAGE = Path()
 """Value of `--readme` without a file."""
 ARGUMENTS = (
     arg.positional("name", "NAME", "benchmark from the list above", choices=list(BENCHMARKS)),
@@ -174,7 +174,7 @@ ARGUMENTS = (
         "without a file: into the page of the documentation that has these markers",
         type=Path,
         nargs="?",
-        const=_ITS_PAGE,
+        const=_OWN_PAGE,
     ),
 )
 
@@ -197,7 +197,7 @@ def run(options: argparse.Namespace) -> int:
         (out / f"{options.name}.md").write_text(table, encoding="utf-8")
         if options.readme is not None:
             block = result.get("block", options.name)
-            page = page_of_table(block) if options.readme == _ITS_PAGE else options.readme
+            page = page_of_table(block) if options.readme == _OWN_PAGE else options.readme
             insert_table(page, block, table)
     print_result(options, result, f"{table}\nwritten to {options.out}")
     return 0

@@ -1,5 +1,4 @@
-"""`mjtactile doctor`: check the devices of a rig one by one, and report problems with remedies in
-plain words."""
+"""`mjtactile doctor`: check each device of a rig, and report problems with remedies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mjtactile experiments`: the paper's Results again, as figures and one table."""
+"""`mjtactile experiments`: repeat the paper's Results, as figures and one table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""`mjtactile explore`: touch an unknown object at several positions until its surface is known."""
+"""`mjtactile explore`: touch an unknown object at several positions until its surface is
+estimated."""
 
 from __future__ import annotations
 
@@ -144,7 +145,7 @@ def _explore(options: argparse.Namespace, out: Path | None) -> int:
     with stdout_to_stderr():
         requested = scenario.scenario_of(options, _DEFAULT)
         scenario.apply_time_scale(options.time_scale, requested.rig)
-        _take_a_replay_as_a_source(options, requested)
+        _use_replay_as_source(options, requested)
         found, summary = (
             _fused(options) if options.sources else _live(options, requested, out, progress)
         )
@@ -172,7 +173,9 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
         else:
             yaw = math.radians(turns[group])
             recording = load_recording(source)
-            recorded_sensors(recording, options.sensor)  # raises if it is not the recorded one
+            recorded_sensors(
+                recording, options.sensor
+            )  # raises if the sensor is not the recorded one
             patches += patches_of_recording(recording, 1000 * (group + 1), yaw)
     if not patches:
         raise InputError(
@@ -186,7 +189,7 @@ def _fused(options: argparse.Namespace) -> tuple[ExplorationResult, dict[str, An
     return found, found.summary()
 
 
-def _take_a_replay_as_a_source(options: argparse.Namespace, requested: Scenario) -> None:
+def _use_replay_as_source(options: argparse.Namespace, requested: Scenario) -> None:
     """Add a replayed recording to the sources, so that its images are evaluated again."""
     from mjtactile.explore.gripper_exploration import recorded_folder
 

@@ -89,7 +89,7 @@ RULES = (
 
 
 def run(options: argparse.Namespace) -> int:
-    _need(options.format)
+    _require_packages(options.format)
     from mjtactile.export.episode import find_episodes
 
     progress = Progress(quiet=options.json)
@@ -149,7 +149,7 @@ def _write(
     return rosbag2.write(episodes, out, notify=progress.message, leave_out=leave_out)
 
 
-def _need(name: str) -> None:
+def _require_packages(name: str) -> None:
     """Raise InputError if the packages of a format are not installed."""
     import importlib.util
 

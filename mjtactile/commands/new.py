@@ -1,4 +1,4 @@
-"""`mjtactile new`: a commented file of your own to start from, copied from one that ships."""
+"""`mjtactile new`: create a commented file as a start, copied from a shipped file."""
 
 from __future__ import annotations
 

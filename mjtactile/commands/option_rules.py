@@ -60,7 +60,7 @@ def _single(arguments: Iterable[Addable]) -> Iterator[Argument]:
 
 
 def _is_given(options: argparse.Namespace, argument: Argument) -> bool:
-    """Return True if the value is not the default; a given default changes nothing."""
+    """Return True if the value is not the default; a given default has no effect."""
     settings = argument.settings
     name = settings.get("dest", argument.names[0].lstrip("-").replace("-", "_"))
     is_flag = settings.get("action") == "store_true"

@@ -86,7 +86,7 @@ def new_run_folder(name: str) -> Iterator[Path]:
         with _removed_if_empty(folder):
             try:
                 folder.mkdir(parents=True)
-            except FileExistsError:  # even if it was made just now, by another process
+            except FileExistsError:  # even if another process created it in the meantime
                 continue
             except OSError as error:
                 message = f"the file cannot be written: {error.strerror}"

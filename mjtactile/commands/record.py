@@ -273,7 +273,7 @@ def _on_rig(
     return result
 
 
-class _Watching(Observer):
+class _RecordObserver(Observer):
     """Observer that stores the estimated forces and announces the protocol's moves at their
     times."""
 
@@ -313,7 +313,7 @@ def _record(
     """Take references, then record; the protocol's moves are announced at their times."""
     import numpy as np
 
-    watching = _Watching(progress, stage)
+    watching = _RecordObserver(progress, stage)
     recorder.start(session)
     session.take_references(recorder)
     seconds = min(seconds, session.rig.length)

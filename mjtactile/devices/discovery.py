@@ -106,14 +106,14 @@ def servos_at(
 def valve_board_at(port: str) -> str:
     """Return the self-description of the valve board at a port; "" without an answer."""
     line = open_port(port, VALVE_BAUD)
-    heard = bytearray()
+    received = bytearray()
     try:
         deadline = scaled_clock.monotonic() + _BOOT_TIME
         while scaled_clock.monotonic() < deadline:
             line.write(protocol.encode(0, "id"))
-            heard += line.read(64)
-            *lines, rest = heard.split(b"\n")
-            heard = bytearray(rest[-protocol.LONGEST :])
+            received += line.read(64)
+            *lines, rest = received.split(b"\n")
+            received = bytearray(rest[-protocol.LONGEST :])
             for answer in (protocol.decode(bytes(each).rstrip(b"\r")) for each in lines):
                 words = answer[1].split() if answer else []
                 if words[:2] == ["id", protocol.NAME] and len(words) == 6:

@@ -37,7 +37,7 @@ class MonotonicClock:
         return scaled_clock.monotonic()
 
     def advance_towards(self, time: float) -> None:
-        """Do nothing: real time passes by itself."""
+        """Return at once: real time advances without calls."""
 
     def wait_until(self, time: float) -> None:
         _sleep_until(time)

@@ -96,7 +96,7 @@ _INDIRECT = {  # first indirect address, first indirect data, how many
     540: ((168, 224, 28), (578, 634, 28)),
 }
 _SHUTDOWN_BITS = 0b111101  # "Shutdown": bits 1, 6 and 7 are unused
-WATCHDOG_GOES_ON = {(330, 51)}
+INEFFECTIVE_WATCHDOG = {(330, 51)}
 """Size and firmware of servos that report a watchdog trip but continue to turn.
 
 Source: https://forum.robotis.com/t/watchdog-of-xc330-t288-t-does-not-stop-motor/4814.

@@ -27,7 +27,7 @@ class Path:
 
     angle: float
     speed: float = 0.0
-    origin: float = 0.0  # where it last stood still
+    origin: float = 0.0  # last position at rest
 
     def start(self, angle: float) -> None:
         """Set the position to `angle` with zero speed."""

@@ -85,19 +85,19 @@ class PtyPort:
         poll = select.poll()
         poll.register(self._master, select.POLLIN)
         poll.register(self._wake_read, select.POLLIN)
-        host_is_there = False
+        host_is_connected = False
         while True:
             events = dict(poll.poll())
             if self._wake_read in events:
                 return
             event = events.get(self._master, 0)
             if event & select.POLLHUP and not event & select.POLLIN:
-                host_is_there = False
+                host_is_connected = False
                 scaled_clock.sleep(_OPEN_POLL)
                 if not self._host_opened(poll):
                     continue
-            if not host_is_there:
-                host_is_there = True
+            if not host_is_connected:
+                host_is_connected = True
                 if self._on_open is not None:
                     self._on_open()
             with contextlib.suppress(OSError):  # the host closed its side

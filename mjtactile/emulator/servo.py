@@ -80,7 +80,7 @@ class EmulatedServo(ServoRegisters):
         self.set("Present Input Voltage", round(10 * self._table.volts))
         self.set("Backup Ready", int(bool(self._backup)))
         self._overload_time = 0.0
-        self._forget_turns()
+        self._reset_turns()
         self._mode_defaults()
         startup = self.get("Startup Configuration")
         if startup & 0x02:
@@ -119,7 +119,7 @@ class EmulatedServo(ServoRegisters):
             self._publish()
             if self.get("Moving"):
                 return RESULT_FAIL
-            self._forget_turns()
+            self._reset_turns()
             self._path.start(self.angle)
             self.set("Goal Position", self._ticks())
             return 0
@@ -197,7 +197,7 @@ class EmulatedServo(ServoRegisters):
 
     @property
     def _ignores_watchdog(self) -> bool:
-        return (self._table.size, self.get("Firmware Version")) in ct.WATCHDOG_GOES_ON
+        return (self._table.size, self.get("Firmware Version")) in ct.INEFFECTIVE_WATCHDOG
 
     def drive(self) -> MotorDrive:
         """Return the drive that the registers request."""

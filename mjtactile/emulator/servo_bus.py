@@ -58,7 +58,7 @@ class ServoBus:
     def _receive(self, data: bytes) -> None:
         baud = _TERMIOS_BAUD.get(self._port.baud)
         if baud is None or all(servo.baud != baud for servo in self._servos.values()):
-            return  # another baud rate: the servos hear noise
+            return  # another baud rate: the servos receive noise
         now = scaled_clock.monotonic()
         for packet in self._decoder.feed(data):
             if self._on_packet is not None:
@@ -69,11 +69,11 @@ class ServoBus:
 
     def answer(self, packet: p2.Instruction, now: float, baud: int | None = None) -> bytes:
         """Return the servos' reply to a packet, or b""; `baud` None: all receive it."""
-        mute = int(self._faults.get("servo_silent")) or None
+        silent_id = int(self._faults.get("servo_silent")) or None
         awake = [
             s
             for s in self._servos.values()
-            if not s.is_silent(now) and s.id != mute and baud in (None, s.baud)
+            if not s.is_silent(now) and s.id != silent_id and baud in (None, s.baud)
         ]
         for servo in awake:
             servo.last_packet = now
@@ -100,7 +100,7 @@ class ServoBus:
         """Execute a packet and answer with the old id; a new id applies from the next packet on."""
         sender = servo.id
         level = servo.get("Status Return Level")
-        error, data = _do(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
+        error, data = _execute(servo, packet, now) if packet.intact else (CRC_ERROR, b"")
         if level < _REPORTED_AT.get(packet.code, 2):
             return b""
         return self._status(servo, error, data, sender)
@@ -117,7 +117,7 @@ class ServoBus:
             return b""
         answer = b""
         for servo in sorted(awake, key=lambda s: s.id):
-            error, data = _do(servo, packet, now)
+            error, data = _execute(servo, packet, now)
             answer += self._status(servo, error, data) if packet.code == p2.PING else b""
         return answer
 
@@ -218,7 +218,7 @@ _GROUPS: Mapping[int, Callable[[ServoBus, bytes, Sequence[EmulatedServo]], bytes
 }
 
 
-def _do(servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, bytes]:
+def _execute(servo: EmulatedServo, packet: p2.Instruction, now: float) -> tuple[int, bytes]:
     """Execute one instruction. Return error number and data of its status."""
     act = _INSTRUCTIONS.get(packet.code)
     if act is None:

@@ -25,7 +25,7 @@ class ServoRegisters(Registers):
         self._firmware = _FIRMWARE[self._table.size] if firmware is None else firmware
         self._backup: dict[str, int] = {}
         self._lock = threading.RLock()
-        self._lost_turns = 0.0  # rad that the encoder forgot at power-up
+        self._lost_turns = 0.0  # full turns lost at power-up, rad
         self.angle = angle
         self._path = Path(angle)
         self._registered: tuple[int, bytes] | None = None
@@ -80,7 +80,7 @@ class ServoRegisters(Registers):
     def _torque_on(self) -> None:
         if self.get("Operating Mode") == 3:
             # Present Position(132): "When torque is turned on in Position Control Mode"
-            self._forget_turns()
+            self._reset_turns()
         self._path.start(self.angle)
         self.set("Goal Position", self._ticks())
 
@@ -106,11 +106,11 @@ class ServoRegisters(Registers):
         self.set("Goal Current", self.get("Current Limit"))
         self.set("Goal Velocity", 0)
         if self.get("Operating Mode") == 3:
-            self._forget_turns()
+            self._reset_turns()
         self._path.start(self.angle)
         self.set("Goal Position", self._ticks())
 
-    def _forget_turns(self) -> None:
+    def _reset_turns(self) -> None:
         self._lost_turns = (
             math.floor(self._direction * self.angle * _TICKS_PER_RAD / 4096) * 2 * math.pi
         )

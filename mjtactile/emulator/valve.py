@@ -1,8 +1,8 @@
 """Emulated valve board with a chamber behind each channel.
 
 It implements the language and the rules of firmware/valve/README.md. Its code, including the CRC,
-is independent of that firmware and of the driver. A mistake in one of them therefore becomes
-visible. The supply reaches the chamber through a hose. The chamber pressure follows the goal with a
+is independent of that firmware and of the driver. Tests therefore detect a mistake in one of them.
+The supply reaches the chamber through a hose. The chamber pressure follows the goal with a
 first-order lag. The board prints a banner when its port is opened, like many real boards.
 """
 
@@ -149,7 +149,7 @@ class ValveFirmware:
                 self.reset()
             # the heartbeat stays armed: it also monitors a host that returns
             if 0 < self.heartbeat < now - self.last_heard:
-                self._miss_host(now)
+                self._handle_missing_host(now)
             self._since_sample += period
             if self._since_sample >= _SAMPLE:
                 self._since_sample = 0.0
@@ -157,7 +157,7 @@ class ValveFirmware:
             if not self._faults.get("valve_stuck"):
                 self._move_pressures(period)
 
-    def _miss_host(self, now: float) -> None:
+    def _handle_missing_host(self, now: float) -> None:
         """Seal the chambers while the host is late; vent them once the host is lost."""
         for number, channel in self.channels.items():
             if channel.state == "vent":

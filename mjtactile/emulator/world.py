@@ -37,7 +37,7 @@ from mjtactile.sim.rig import build_sim_rig
 
 # maximum lag behind the clock, s; a larger lag is skipped instead of recovered
 _BEHIND_MAX = 0.02
-_BREATH = 3e-4  # pause after each step for the rendering thread, s
+_RENDER_PAUSE = 3e-4  # pause after each step for the rendering thread, s
 _BACKDRIVE_FORCE = 0.05  # gear friction of servos without torque, N
 _GEAR_SLACK = 1e-4  # change of opening over which that friction builds up, m
 _TOUCH_FORCE = 1e-3  # contact threshold, N
@@ -108,7 +108,7 @@ class EmulatedWorld:
                     start += behind
                     self._shared["lost"] += behind
                 self._step()
-                self._stop.wait(_BREATH)
+                self._stop.wait(_RENDER_PAUSE)
         except MjtactileError as error:
             print(f"emulator: {error}", file=sys.stderr, flush=True)
             self._shared["failed"] = 1
@@ -128,7 +128,7 @@ class EmulatedWorld:
             leaking.open_valve(leaking.gauge_pressure * (1 - scene.timestep / _LEAK_TIME))
             leaking.close_valve()
         scene.step()
-        self._keep_object()
+        self._hold_resting_object()
         self._publish()
         if scene.time >= self._next_frame:
             self._next_frame += self._image_period
@@ -156,17 +156,17 @@ class EmulatedWorld:
         self._rest_opening = rest
         self.scene.set_finger_target(max(rest, 0.0), _BACKDRIVE_FORCE)
 
-    def _keep_object(self) -> None:
+    def _hold_resting_object(self) -> None:
         """Fix an object at rest while the jaws are not driven and no membrane is in contact.
 
         Friction of simulated contacts creeps: an egg on its end would fall over within minutes.
         """
         fingers = range(1, len(self.scene.sensors) + 1)
-        is_left_alone = self._rest_opening is not None and all(
+        is_undisturbed = self._rest_opening is not None and all(
             abs(self._shared[f"contact_{finger}"]) < _TOUCH_FORCE for finger in fingers
         )
         joint = self._object_joint
-        if joint is None or not is_left_alone or np.abs(joint.qvel).max() > _STILL_SPEED:
+        if joint is None or not is_undisturbed or np.abs(joint.qvel).max() > _STILL_SPEED:
             self._cached_pose = None
             return
         if self._cached_pose is None:

@@ -18,7 +18,7 @@ from mjtactile.core.design import SensorDesign
 from mjtactile.core.field_types import Numbers
 from mjtactile.core.relaxation import Relaxation, decades
 from mjtactile.core.types import Array
-from mjtactile.rig.camera_faults import UNTROUBLED, CameraFaults
+from mjtactile.rig.camera_faults import NO_CAMERA_FAULTS, CameraFaults
 
 _CREEP_TIMES = (1.0, 1e3)  # shortest and longest time constant, s
 
@@ -115,7 +115,7 @@ class AsBuiltSensor:
         "pressure_offset_Pa", -1000, 1000, default=0.0, about="offset of the pressure sensor"
     )
     camera: CameraFaults = part(
-        "camera", CameraFaults, default=UNTROUBLED, about="faults of its images"
+        "camera", CameraFaults, default=NO_CAMERA_FAULTS, about="faults of its images"
     )
 
 

@@ -79,5 +79,5 @@ class CameraFaults:
     )
 
 
-UNTROUBLED = CameraFaults()
+NO_CAMERA_FAULTS = CameraFaults()
 """A camera with none."""

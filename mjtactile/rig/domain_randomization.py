@@ -4,7 +4,7 @@
 
 The simulated world uses the sampled values. Sensing and control keep those of the sensor file and
 the rig file. A value depends only on the seed and on its own name. An additional line in a file
-therefore leaves the other values unchanged. For the format see docs/how-to/evaluate.md.
+therefore does not change the other values. For the format see docs/how-to/evaluate.md.
 """
 
 from __future__ import annotations

@@ -56,7 +56,8 @@ class Finger:
         """Command the valve to regulate the chamber pressure.
 
         Args:
-            gauge_pressure: Pa; the gauge's zero is added to it. None: seal the chamber as it is.
+            gauge_pressure: Pa; the zero of the pressure sensor is added to it. None: seal the
+                chamber.
 
         Raises:
             DeviceError: The valve does not respond.

@@ -107,11 +107,11 @@ def _run_cycles(
         if stop.at_once:
             raise Interrupted
         if stop.asked:
-            cycle.give_up(Interrupted())
+            cycle.start_retreat(Interrupted())
         elif rig.clock.now() - start > time_limit:
             phase = f"still in phase {cycle.last.phase!r} after {time_limit:g} s"
             message = f"controller {guarded.controller.path}: {phase}"
-            cycle.give_up(SafeStop(message, kind="hung"))
+            cycle.start_retreat(SafeStop(message, kind="hung"))
         elif _has_landed(cycle):
             break
         # A missed cycle is not repeated. If a cycle and its image are early, the next period counts
@@ -119,9 +119,9 @@ def _run_cycles(
         now = rig.clock.now()
         deadline = min(max(deadline, now - rig.period), now) + rig.period
         try:
-            _turn(cycle, guarded, deadline)
+            _run_cycle(cycle, guarded, deadline)
         except MemoryError:
-            _make_room(cycle)
+            _handle_memory_exhaustion(cycle)
         limit_memory()  # not before the first step, which may import
         rig.clock.wait_until(deadline)
 
@@ -147,14 +147,14 @@ def _has_landed(cycle: ControlCycle) -> bool:
     return False
 
 
-def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) -> None:
+def _run_cycle(cycle: ControlCycle, controller: ControllerThread, deadline: float) -> None:
     """Run one cycle, from the images to the sent command, while the world continues to move."""
     before = cycle.last
     cycle.read_sensors()
     cycle.rig.clock.advance_towards(deadline)
     observation = cycle.observe()
     start = wall.perf_counter()
-    requested = _think(cycle, controller, observation)
+    requested = _compute_command(cycle, controller, observation)
     controller_ms = 1e3 * (wall.perf_counter() - start)
     sent = cycle.send(requested)
     memory, left_out = plain(sent.memory)
@@ -179,7 +179,7 @@ def _turn(cycle: ControlCycle, controller: ControllerThread, deadline: float) ->
         cycle.attempt(lambda: _report_disabled_effects(cycle))
 
 
-def _make_room(cycle: ControlCycle) -> None:
+def _handle_memory_exhaustion(cycle: ControlCycle) -> None:
     """Discard the controller's memory and start the retreat after the process ran out of memory.
 
     If the gripper was already retreating, latch the supervisor. The devices' own watchdogs then
@@ -187,7 +187,7 @@ def _make_room(cycle: ControlCycle) -> None:
     """
     retreats = cycle.supervisor.state == "safe"
     cycle.last = replace(cycle.last, memory={})
-    cycle.give_up(SafeStop("stopped safely: no memory is left"))
+    cycle.start_retreat(SafeStop("stopped safely: no memory is left"))
     if retreats:
         cycle.supervisor.latch("no memory is left", cycle.now, "the retreat was cut short")
 
@@ -200,11 +200,13 @@ def _report_disabled_effects(cycle: ControlCycle) -> None:
     cycle.observer.note(memory_left_out=list(cycle.left_out))
 
 
-def _think(cycle: ControlCycle, controller: ControllerThread, observation: Observation) -> Command:
+def _compute_command(
+    cycle: ControlCycle, controller: ControllerThread, observation: Observation
+) -> Command:
     """Return the controller's command; during a retreat, return the last command sent."""
     if cycle.supervisor.state != "safe":
         try:
             return controller.step(observation)
         except ControllerError as error:
-            cycle.give_up(error)
+            cycle.start_retreat(error)
     return cycle.last

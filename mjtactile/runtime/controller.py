@@ -24,7 +24,7 @@ from mjtactile.core.types import Command, Observation
 
 # Minimum timeout of the first step, s: it may import modules, and no object is grasped yet
 _FIRST_TIME = 3.0
-_ANOTHER_MOMENT = 0.02
+_EXTRA_TIME = 0.02
 
 
 class LoadedController(Protocol):
@@ -122,7 +122,7 @@ class ControllerThread:
         """
         with contextlib.suppress(queue.Empty):
             return self._answers.get(timeout=scaled_clock.wall(self._patience))
-        return self._answers.get(timeout=scaled_clock.wall(_ANOTHER_MOMENT))
+        return self._answers.get(timeout=scaled_clock.wall(_EXTRA_TIME))
 
     def _work(self) -> None:
         while (observation := self._questions.get()) is not None:
@@ -157,7 +157,7 @@ def _line(path: Path, stack: traceback.StackSummary) -> str | None:
     return None
 
 
-class _AsItStands(importlib.machinery.SourceFileLoader):
+class _UncachedLoader(importlib.machinery.SourceFileLoader):
     """Loader that compiles the current file and stores no bytecode.
 
     Python's bytecode cache compares only time and length, so it can miss an edit within one
@@ -190,7 +190,7 @@ def load_controller(name_or_path: str | Path) -> Controller:
     if spec is None or spec.loader is None:
         raise InputError("not a Python file", source=path, field="controller")
     if isinstance(spec.loader, importlib.machinery.SourceFileLoader):
-        spec.loader = _AsItStands(name, str(path))
+        spec.loader = _UncachedLoader(name, str(path))
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses resolve the types of their fields here
     try:

@@ -144,14 +144,14 @@ class ControlCycle:
             self.supervisor.latch(str(error), self.now, "the last command was not carried out")
         except Exception as error:  # noqa: BLE001  # values that a controller made past their checks
             retreats = self.supervisor.state in ("safe", "latched")
-            self.give_up(error)
+            self.start_retreat(error)
             if not retreats:
                 return self.send(self.last)
             self.supervisor.latch(str(error), self.now, "the last command was not carried out")
         self.set_down.watch(self.touch, self.last)
         return self.last
 
-    def give_up(self, error: Exception) -> None:
+    def start_retreat(self, error: Exception) -> None:
         """Start the retreat because of `error`, unless it is already in progress.
 
         The error is raised after the retreat.
@@ -173,7 +173,7 @@ class ControlCycle:
             self.supervisor.make_safe(str(error), self.now)
         except Exception as error:  # noqa: BLE001
             # includes errors in this package or in an observer
-            self.give_up(error)
+            self.start_retreat(error)
         else:
             return True
         return False

@@ -198,7 +198,7 @@ class _Log(Observer):
         held = [force for force, phase in pairs if phase == "hold"]
         return float(np.nanmean(held)) if np.isfinite(held).any() else math.nan
 
-    def gave_up(self, period: float) -> str:
+    def abort_reason(self, period: float) -> str:
         """Return time, phase and reason of the controller's abort, or ""."""
         before = [phase for phase in self.phases if phase != "abort"]
         if len(before) in (0, len(self.phases)):
@@ -323,7 +323,7 @@ def _run(
         completed = last.phase == "done"
     except SimulationError:
         if log.score is None or not log.score.lost:
-            raise  # otherwise the outcome was already known: the object stayed behind
+            raise  # otherwise the object was not lifted, and the outcome is final
     except DeviceError:
         if rig.recorded.get("outcome") not in OUTCOMES:
             raise  # else the recording has ended before this controller did
@@ -370,7 +370,7 @@ def _result(
         factor,
         len(log.phases),
         parts,
-        reason="; ".join(filter(None, [reason, log.gave_up(period), device_fault])),
+        reason="; ".join(filter(None, [reason, log.abort_reason(period), device_fault])),
         device_fault=device_fault,
         left_out=() if score is None else disabled_effects(score.world.effects),
         peak_stress_true=score.peak_stress if score else math.nan,

@@ -111,7 +111,7 @@ class GraspScore:
         }
 
     def after_step_batch(self) -> None:
-        """Sample the truth; call after every physics step, or stretch of them."""
+        """Sample the ground truth; call after every physics step or batch of steps."""
         each = ground_truth.step_batch_forces(self.world)
         forces = each[-1].tolist()
         peak = float(each.max())

@@ -38,14 +38,14 @@ class PerceptionPool:
     """
 
     def __init__(self, count: int) -> None:
-        with contextlib.ExitStack() as unless_all_start:
+        with contextlib.ExitStack() as close_on_failure:
             self._workers = [
-                unless_all_start.enter_context(
+                close_on_failure.enter_context(
                     contextlib.closing(WorkerProcess(__name__, "runs perception"))
                 )
                 for _ in range(count)
             ]
-            self._started = unless_all_start.pop_all()
+            self._started = close_on_failure.pop_all()
         self._perceptions: Sequence[Any] = ()
         self._names: Sequence[str] = ()
 

@@ -114,8 +114,8 @@ class Perceivers:
         ]
         end = scaled_clock.monotonic() + timeout
         found = [
-            mine if thread is None else thread.outcome(max(0.0, end - scaled_clock.monotonic()))
-            for ((_, _, thread), _), mine in zip(pairs, outcomes, strict=True)
+            outcome if thread is None else thread.outcome(max(0.0, end - scaled_clock.monotonic()))
+            for ((_, _, thread), _), outcome in zip(pairs, outcomes, strict=True)
         ]
         return tuple(
             timeout_touch(name, image, now) if outcome is None else value_of(outcome)

@@ -87,7 +87,7 @@ class Retreat:
         self._down_time += self._period
         is_above = height is not None and height > last.lift_height + _DOWN
         if is_above and self._down_time < _DOWN_TIME_MAX:
-            return last  # the lift is still moving, since it was stopped or is slow
+            return last  # the lift is still moving, after a stop or since it is slow
         return None
 
     def _open(self, last: Command, touch: Sequence[Touch], opening: float | None) -> Command | None:

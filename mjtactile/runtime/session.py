@@ -1,6 +1,6 @@
-"""`Session`: a rig at work. References, control loop and supervision, the same for every job:
-grasp, probe, record, calibrate, benchmarks. It sees a rig through its Protocols only, and never
-ground truth.
+"""`Session`: a rig in use. References, control loop and supervision, the same for every job: grasp,
+probe, record, calibrate, benchmarks. It accesses a rig only through its Protocols, without ground
+truth.
 """
 
 from __future__ import annotations
@@ -303,7 +303,7 @@ class Session:
         Args:
             reason: Reason, for the summary.
         """
-        self._supervisor.want_safe(reason)
+        self._supervisor.request_safe_state(reason)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 States:
 
-- `idle`: nothing is sent.
+- `idle`: no command is sent.
 - `armed`: the references are taken, and the rig is ready.
 - `running`: the controller's command is passed on. The other states restrict or replace it.
 - `holding`: an estimate is missing. The jaws do not close and the gripper does not rise.
@@ -90,12 +90,12 @@ class Supervisor:
         if self._safe_requested:
             self.make_safe(self._safe_requested, now)
         if self.state in ("safe", "latched"):
-            return self._go_back(now, last, touch)
+            return self._retreat_command(now, last, touch)
         self._retreat.watch(touch, last.lift_height)
         leak = self._leak(touch, valves)
         if leak:
             self.make_safe(leak, now)
-            return self._go_back(now, last, touch)
+            return self._retreat_command(now, last, touch)
         unknown = [t.status for t in touch if not math.isfinite(t.force_normal)]
         if unknown:
             return self._hold(now, requested, last, touch, unknown[0])
@@ -109,13 +109,13 @@ class Supervisor:
         if self.state not in ("safe", "latched"):
             self._enter("safe", reason, now)
 
-    def want_safe(self, reason: str) -> None:
+    def request_safe_state(self, reason: str) -> None:
         """Request the retreat at the next `decide`, from another thread such as an emergency
         stop."""
         self._safe_requested = reason
 
     def latch(self, reason: str, now: float, unverified: str = "") -> None:
-        """Enter the final state, after which nothing is sent.
+        """Enter the final state, after which no command is sent.
 
         `unverified` is the unverified part of the safe state.
         """
@@ -134,7 +134,7 @@ class Supervisor:
             self._blind_why = why
         if now - self._blind_since > BLIND_TIME_MAX:
             self.make_safe(f"no force for {BLIND_TIME_MAX:g} s: {self._blind_why}", now)
-            return self._go_back(now, last, touch)
+            return self._retreat_command(now, last, touch)
         if self.state != "holding":
             self._enter("holding", why, now)
         return replace(
@@ -145,7 +145,7 @@ class Supervisor:
             gauge_pressure=last.gauge_pressure,
         )
 
-    def _go_back(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
+    def _retreat_command(self, now: float, last: Command, touch: Sequence[Touch]) -> Command:
         """Return the next command of the retreat, and latch at its end."""
         if self.state == "latched":
             return last
@@ -161,7 +161,7 @@ class Supervisor:
             self._sealed = [None if v.is_open else v.gauge_pressure for v in valves]
             self._bulge = [t.surface.volume if t.surface else None for t in touch]
         for i, t in enumerate(touch):
-            self._note_sealed(i, t, valves[i] if i < len(valves) else None)
+            self._record_sealed_pressure(i, t, valves[i] if i < len(valves) else None)
         lost = [
             f"chamber {i} lost pressure: {v.gauge_pressure:.0f} Pa, sealed at {sealed:.0f} Pa"
             for i, (v, sealed) in enumerate(zip(valves, self._sealed, strict=True))
@@ -186,7 +186,7 @@ class Supervisor:
             return f"leak: {lost[0]}"
         return f"leak: {sunk[0]}" if self._sink_cycles >= _SINK_CYCLES else ""
 
-    def _note_sealed(self, i: int, touch: Touch, valve: ValveState | None) -> None:
+    def _record_sealed_pressure(self, i: int, touch: Touch, valve: ValveState | None) -> None:
         """Store pressure and bulge volume of chamber `i` after sealing.
 
         They are reset while its valve is open, because that is not a leak. They are stored again

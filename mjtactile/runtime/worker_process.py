@@ -33,22 +33,22 @@ class WorkerProcess:
     """
 
     def __init__(self, module: str, does: str) -> None:
-        ours, its = socket.socketpair()
+        own_end, child_end = socket.socketpair()
         self._does = does
         self._due = 0
         self._is_late = False
-        with its, contextlib.ExitStack() as unless_it_starts:
-            unless_it_starts.callback(ours.close)
+        with child_end, contextlib.ExitStack() as close_on_failure:
+            close_on_failure.callback(own_end.close)
             file = platform_support.memory_file("mjtactile")
             os.ftruncate(file, _ROOM)
             try:
-                self._channel = Channel(ours, _TAKES, lent=mmap.mmap(file, _ROOM))
+                self._channel = Channel(own_end, _TAKES, lent=mmap.mmap(file, _ROOM))
                 self._process = process.start(
-                    module, f"{its.fileno()},{file}", descriptors=(its.fileno(), file)
+                    module, f"{child_end.fileno()},{file}", descriptors=(child_end.fileno(), file)
                 )
             finally:
                 os.close(file)
-            unless_it_starts.pop_all()
+            close_on_failure.pop_all()
 
     def start(self, *question: Any) -> None:
         """Send a question to the worker process.

@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     return finish_all(options, results)
 
 
-Taken = tuple[list[Image], list[Image], float | None, bool]
+CapturedImages = tuple[list[Image], list[Image], float | None, bool]
 """Images and pressure state of a calibration.
 
 Images of the flat membrane, and of the inflated one (empty: only flat). Reading of the pressure
@@ -96,13 +96,15 @@ sensor, Pa (None: no sensor), and the sealed state of the chamber.
 """
 
 
-def _recorded(options: argparse.Namespace, design: SensorDesign) -> Taken:
+def _recorded(options: argparse.Namespace, design: SensorDesign) -> CapturedImages:
     rest = [] if options.rest is None else read_images(options.rest, design)
     pressure = None if options.pressure is None else 1e3 * options.pressure
     return read_images(options.source, design), rest, pressure, options.valve == "closed"
 
 
-def _live(options: argparse.Namespace, targets: list[output_options.OutputFile]) -> list[Taken]:
+def _live(
+    options: argparse.Namespace, targets: list[output_options.OutputFile]
+) -> list[CapturedImages]:
     """Open the valves, take images, inflate, seal, and take images again. The jaws do not move."""
     from mjtactile.calibrate.connect import live_fingers, live_rig
     from mjtactile.calibrate.interactive import reference_images

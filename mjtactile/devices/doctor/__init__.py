@@ -1,5 +1,5 @@
-"""Checks of `mjtactile doctor`. Each check returns findings in plain words with a remedy; none
-moves a device."""
+"""Checks of `mjtactile doctor`. Each check returns findings as text with a remedy, and moves no
+device."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mjtactile.rig.sensors import calibration_findings, finger_design
 
 # maximum ratio to the data sheet's torque per ampere; gear friction takes up to 20 % of it
 _TORQUE_OFF_MAX = 1.5
-_MAY_FALL = "a held object falls when the host is lost: use servos that brake, or a cup below"
+_FALL_WARNING = "a held object falls when the host is lost: use servos that brake, or a cup below"
 
 
 def _check_empty_view(subject: str, design: SensorDesign, image: Image) -> Iterable[Finding]:
@@ -104,7 +104,7 @@ def _check_host_loss(rig_file: RigFile) -> Iterator[Finding]:
             "warn",
             subject,
             f"{text}; the servos switch their torque off and hold nothing",
-            _MAY_FALL,
+            _FALL_WARNING,
         )
     elif rig_file.lift.kind == "servo":
         remedy = "a lift that must not fall needs a brake or a counterweight"

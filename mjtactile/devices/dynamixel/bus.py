@@ -1,4 +1,4 @@
-"""Dynamixel bus on top of the SDK's packet layer, with its defects corrected.
+"""Dynamixel bus on top of the SDK's packet layer, with corrections of its defects.
 
 Behavior of the SDK 4.1.0, and the correction here:
 

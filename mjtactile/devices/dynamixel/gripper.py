@@ -347,10 +347,10 @@ class DynamixelGripper:
             return (servo.ticks - self._lift_zero_ticks) / TICKS_PER_RAD * self._lift_config.per_rad
         return self._lift_goal
 
-    # -- staying alive
+    # -- keep-alive
 
     def _keep_alive(self) -> None:
-        """Feed the bus watchdog while the loop lives: see `BusConfig.host_timeout`."""
+        """Reset the bus watchdog while the loop runs: see `BusConfig.host_timeout`."""
         interval = self._bus_config.watchdog / 4
         while not self._closed.wait(interval):
             with self._lock:

@@ -12,7 +12,7 @@ from dynamixel_sdk import PortHandler, Protocol2PacketHandler
 from mjtactile.core import scaled_clock
 from mjtactile.devices.serial_write import write
 
-_BABBLE = 5  # times the time-out
+_FLOOD_FACTOR = 5  # times the time-out
 # write timeout, s: pySerial counts time in which the computer was suspended, even after a complete
 # write
 _WRITE_TIME = 0.5
@@ -63,7 +63,7 @@ class Port(PortHandler):
         """
         passed = self.getTimeSinceStart()
         return passed > self.packet_timeout and (
-            self.ser.in_waiting == 0 or passed > _BABBLE * self.packet_timeout
+            self.ser.in_waiting == 0 or passed > _FLOOD_FACTOR * self.packet_timeout
         )
 
     def setPacketTimeout(self, packet_length: int) -> None:

@@ -166,9 +166,9 @@ class Servo:
         first_current: Callable[[Servo], int],
         p_gain: int | None,
     ) -> None:
-        """Switch the torque on in current-based position mode, standing still. Limits and watchdog
-        are set first: if the host dies, the servo is off or has both. Writing the mode resets gains
-        and goals.
+        """Switch the torque on in current-based position mode, at rest. Limits and watchdog are set
+        first: if the host is lost, the servo is off or has both. Writing the mode resets gains and
+        goals.
 
         `find_place` receives the present position (ticks) before the torque is on. `limit` is the
         largest goal current (units) of any command. `first_current` returns the goal current until
@@ -182,11 +182,11 @@ class Servo:
         self.set("Return Delay Time", 0)
         find_place(signed(self.get("Present Position"), 4))
         self.goal_current_units = min(first_current(self), limit)
-        self._stand_still(p_gain)
+        self._hold_position(p_gain)
         self.set("Torque Enable", 1)
-        self._stand_still(p_gain)  # again, since switching the torque on may reset values
+        self._hold_position(p_gain)  # again, since switching the torque on may reset values
 
-    def _stand_still(self, p_gain: int | None) -> None:
+    def _hold_position(self, p_gain: int | None) -> None:
         if p_gain is not None:
             self.set("Position P Gain", p_gain)
         self.set("Profile Acceleration", 0)

@@ -26,7 +26,7 @@ EEPROM_END = 64  # registers below are kept without power and locked while torqu
 
 WATCHDOG_TRIPPED = 0xFF  # "Bus Watchdog" reads -1
 _STARTUP = ("Startup Configuration", 60, 1)  # from the e-manual's tables; those of the SDK lack it
-_WATCHDOG_STOPS_NOTHING = {51}  # firmware of all 330 sizes: forum.robotis.com, topic 4814
+_INEFFECTIVE_WATCHDOG = {51}  # firmware of all 330 sizes: forum.robotis.com, topic 4814
 
 HARDWARE_ERRORS = {
     0: "input voltage",
@@ -59,7 +59,7 @@ class ServoModel:
 
     def watchdog_stops(self, firmware: int) -> bool:
         """Return False for the one firmware whose bus watchdog trips, but lets the motor turn."""
-        return "330" not in self.name or firmware not in _WATCHDOG_STOPS_NOTHING
+        return "330" not in self.name or firmware not in _INEFFECTIVE_WATCHDOG
 
 
 @dataclass(frozen=True)

@@ -100,17 +100,17 @@ class ValveBoard:
 
     def set(self, channel: int, pressure: float) -> None:
         """Regulate to `pressure`, Pa; without a sensor, open to the supply. Raises DeviceError."""
-        self._forget_aim(channel)
+        self._clear_setpoint(channel)
         self._command(f"set {channel} {round(pressure)}", channel)
 
     def seal(self, channel: int) -> None:
         """Close both valves. Raises DeviceError if the board does not confirm."""
-        self._forget_aim(channel)
+        self._clear_setpoint(channel)
         self._command(f"seal {channel}", channel)
 
     def vent(self, channel: int) -> None:
         """Open to the air, which also acknowledges a fault. Raises DeviceError."""
-        self._forget_aim(channel)
+        self._clear_setpoint(channel)
         self._command(f"vent {channel}", channel)
 
     def aim(self, channel: int, pressure: float | None) -> None:
@@ -356,7 +356,7 @@ class ValveBoard:
     def _has_setpoint(self, channel: int) -> bool:
         return channel not in self._aims or self._sent.get(channel, ...) == self._aims[channel]
 
-    def _forget_aim(self, channel: int) -> None:
+    def _clear_setpoint(self, channel: int) -> None:
         """Delete the pressure setpoint of a channel, since a direct command replaces it."""
         with self._lock:
             self._aims.pop(channel, None)

@@ -17,7 +17,7 @@ from mjtactile.core.effect_names import Effect
 from mjtactile.core.errors import InputError
 from mjtactile.core.types import Image
 from mjtactile.rig.as_built_sensor import AsBuiltSensor
-from mjtactile.rig.camera_faults import UNTROUBLED, CameraFaults
+from mjtactile.rig.camera_faults import NO_CAMERA_FAULTS, CameraFaults
 from mjtactile.rig.domain_randomization import CAMERA, load_variation
 from mjtactile.rig.file import load_rig_file, rig_from_table
 from mjtactile.sensing.image.markers import detect
@@ -86,7 +86,7 @@ def test_every_fault_belongs_to_a_step_and_is_off_by_default(images):
     switches = [name for step in STEPS for name in step.switches]
     assert sorted([*switches, *PARAMETERS]) == sorted(field.name for field in fields(CameraFaults))
     assert {FIELDS[name].key for name in switches} == set(STRONG)
-    assert FaultyImage(UNTROUBLED)(images[0]) is images[0]
+    assert FaultyImage(NO_CAMERA_FAULTS)(images[0]) is images[0]
     assert not FaultyImage(faults(dust_px=9, flicker_Hz=50)).has_faults
 
 
@@ -158,8 +158,11 @@ def test_faults_are_read_from_rig_and_variation_files():
     }
     emulator = rig_from_table(table, Path("my.toml")).emulator
     assert emulator.as_built_sensor("left").camera == CameraFaults(gamma=1.3, zoom=0.003)
-    assert emulator.as_built_sensor("right").camera == UNTROUBLED
-    assert load_rig_file("emulated_as_built").emulator.as_built_sensor("left").camera == UNTROUBLED
+    assert emulator.as_built_sensor("right").camera == NO_CAMERA_FAULTS
+    assert (
+        load_rig_file("emulated_as_built").emulator.as_built_sensor("left").camera
+        == NO_CAMERA_FAULTS
+    )
     table["emulator"]["as_built"]["left"]["camera"] = {"gama": 1.3}
     with pytest.raises(InputError, match=r"camera.gama: unknown field, did you mean 'gamma'"):
         rig_from_table(table, Path("my.toml"))
@@ -171,7 +174,9 @@ def test_faults_are_sampled_for_each_finger_by_seed():
     sampled = variation.sample(3, fingers=("left", "right"), markers=81)
     left, right = (sampled.as_built_sensor(finger).camera for finger in ("left", "right"))
     assert left != right and left.gamma == sampled.values["left.camera.gamma"]
-    assert replace(sampled.as_built_sensor("left"), camera=UNTROUBLED) == AsBuiltSensor("left")
+    assert replace(sampled.as_built_sensor("left"), camera=NO_CAMERA_FAULTS) == AsBuiltSensor(
+        "left"
+    )
 
 
 def test_faults_without_images_are_refused():
