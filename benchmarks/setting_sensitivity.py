@@ -1,5 +1,5 @@
-"""`mjtactile bench setting-sensitivity`: effect of halving and doubling the sensing chain's tuned
-parameters.
+"""`mjtactile bench setting-sensitivity`: effect of halving and doubling the sensing pipeline's
+tuned parameters.
 
 The same images are evaluated with each value. Derived parameters, and those fitted by another
 benchmark, are excluded.

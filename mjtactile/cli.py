@@ -191,7 +191,7 @@ def _quieten_libraries(*, debug: bool) -> None:
 
 
 def _fail(error: BaseException, argv: Sequence[str]) -> int:
-    """Report `error` in one line (in JSON too, if asked for) and return its exit code."""
+    """Report `error` in one line (in JSON too, if requested) and return its exit code."""
     code = EXIT_FAULT
     text = " ".join(str(error).split())
     if isinstance(error, MjtactileError):

@@ -7,8 +7,8 @@ Physics: spheres are pressed to a given depth (benchmarks/simulation_cases.py). 
 finest mesh with contact ten times stiffer. Its own uncertainty is the step from the next coarser
 mesh. The bulge is also compared with its closed form.
 
-Perception: the output of the sensing chain on rendered images is compared with the simulated ground
-truth.
+Perception: the output of the sensing pipeline on rendered images is compared with the simulated
+ground truth.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def fidelity_table(result: dict[str, Any]) -> dict[str, Any]:
     """Return the table that `Fidelity` reads.
 
     It holds every setting that ran with the default contact and enough iterations. Meshes too
-    coarse for the sensing chain's membrane model are left out.
+    coarse for the sensing pipeline's membrane model are left out.
     """
     rows = [
         row

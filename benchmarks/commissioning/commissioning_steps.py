@@ -123,7 +123,7 @@ class Day:
     def set_up(self) -> dict[str, Any]:
         """Run `mjtactile setup`, then name the calibration files in the rig file.
 
-        It finds ports, servos and cameras. When it asks for an indentation of a finger, the chamber
+        It finds ports, servos and cameras. When it requests an indentation of a finger, the chamber
         of that finger is filled.
         """
         like = self.bare()

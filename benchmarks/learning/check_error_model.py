@@ -1,4 +1,4 @@
-"""Comparison of a sensing chain's errors with errors sampled from a model of them."""
+"""Comparison of a sensing pipeline's errors with errors sampled from a model of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mjtactile bench error-model`: fitted error model of a sensing chain, for `--effects
+"""`mjtactile bench error-model`: fitted error model of a sensing pipeline, for `--effects
 -mesh,-pipeline`.
 
 Random objects are gripped with forces that vary from 0.05 to 2.2 N, and lifted. Images and the

@@ -1,7 +1,7 @@
 """Pose errors of single circles relative to the Cramer-Rao bound, and a check of their covariance.
 
 Images come from `marker_scenes`, which shares no code with the detector. The pose of a circle has
-two solutions. "centre error" is that of the solution nearer to the ground truth; the pipeline
+two solutions. "centre error" is that of the solution closer to the ground truth; the pipeline
 selects it with the membrane surface. "as returned" is that of the preferred solution of one image.
 """
 
@@ -101,7 +101,7 @@ def match(
 ) -> tuple[Array, Array, Array]:
     """Assign to each circle the index (n,) of the nearest trusted pose.
 
-    Return also the nearer of its two centres (n, 3), and True (n,) where it lies within a marker's
+    Return also the closer of its two centres (n, 3), and True (n,) where it lies within a marker's
     radius.
     """
     truth = np.array([c.p_C for c in circles])

@@ -118,7 +118,7 @@ def chord_noise(images: int, seed: int = 3) -> dict[str, dict[str, float]]:
     """Compare the errors caused by 0.05 px noise in edge points.
 
     The sine rule uses two chord ends. The closed form uses a conic through 64 such points. The
-    ellipses are exact, so that no other error occurs; the nearer of both solutions counts.
+    ellipses are exact, so that no other error occurs; the closer of both solutions counts.
     """
     rng = np.random.default_rng(seed)
     errors: dict[str, list[Array]] = {}

@@ -1,4 +1,5 @@
-"""Test images with known circle poses, without the sensing chain's ellipse, conic or edge models.
+"""Test images with known circle poses, without the sensing pipeline's ellipse, conic or edge
+models.
 
 Each circle's rim is projected point by point through glass and lens. Scan lines fill the polygon,
 with exact coverage along each line, on a grid `SUPER` times finer than the pixels. The optical blur

@@ -14,7 +14,8 @@ from mjtactile.report.figures import new_figure
 
 
 def plot(out: Path, errors: Mapping[str, Array], result: Mapping[str, Any]) -> None:
-    """Plot `perception.png` (accuracy, error bars, blur, speed) and `perception_methods.png`."""
+    """Plot `perception.png` (accuracy, standard deviations, blur, speed) and
+    `perception_methods.png`."""
     if (figure := new_figure("perception.png", (11, 8))) is None:
         return
     axes = figure.subplots(2, 2)

@@ -1,5 +1,5 @@
 """`mjtactile bench perception`: accuracy of markers and surfaces relative to the physical limit,
-consistency of their error bars, and speed."""
+consistency of their standard deviations, and speed."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Measured numbers of a case, next to their references.
 
-They come from the simulation and, where required, from the sensing chain.
+They come from the simulation and, where required, from the sensing pipeline.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Speed of the simulation, the sensing chain and the whole loop."""
+"""Speed of the simulation, the sensing pipeline and the whole loop."""

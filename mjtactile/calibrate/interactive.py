@@ -161,7 +161,7 @@ def dropped_images(
 def measure_openings(
     gripper: DynamixelGripper, openings: Sequence[float], ask: Ask, force: float, notify: Notify
 ) -> tuple[Array, list[str], Array]:
-    """Reach each opening, m, from both sides, and ask for the caliper's reading.
+    """Reach each opening, m, from both sides, and request the caliper's reading.
 
     Returns:
         Reported openings, m, directions, and measured openings, m.
@@ -257,7 +257,7 @@ def _squeeze(gripper: DynamixelGripper, force: float) -> None:
     goal = stood = gripper.state().opening
     while scaled_clock.monotonic() - still_since < _STALL_TIME:
         opening = gripper.state().opening
-        # The goal runs ahead of the jaws, far enough that the servo asks for all the force it may
+        # The goal runs ahead of the jaws, far enough that the servo requests all the force it may
         # use.
         goal = max(low, goal - _SPEED * _PERIOD, opening - _AHEAD_MAX)
         gripper.command(Command(goal, force))

@@ -157,7 +157,7 @@ class SensorDesign:
 
     @property
     def apparent_glass_thickness(self) -> float:
-        """Depth by which the glass brings the scene nearer on the camera's axis, t (1 - 1/n), m."""
+        """Depth by which the glass brings the scene closer on the camera's axis, t (1 - 1/n), m."""
         return self.glass.thickness * (1 - 1 / self.glass.refractive_index)
 
     @cached_property

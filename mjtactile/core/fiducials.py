@@ -3,7 +3,7 @@
 Straight chamber walls hide the inner face of the frame from the camera. The walls are therefore set
 back for circles on the rim. The rim then forms a lip, `lip` thick and `step` wide. The circles are
 on its inner face. Their distance, sharpness and illumination equal those of the membrane's markers.
-Circles on the glass's inner face need no setback. They are nearer and out of focus. They lie in the
+Circles on the glass's inner face need no setback. They are closer and out of focus. They lie in the
 image strip outside the opening.
 """
 

@@ -74,7 +74,7 @@ def with_field_of_view(design: SensorDesign, angle: float) -> SensorDesign:
 def with_focus(design: SensorDesign, focus: float) -> SensorDesign:
     """Return the sensor with the flat membrane in the focus of its camera.
 
-    The glass brings the membrane optically nearer.
+    The glass brings the membrane optically closer.
 
     Args:
         design: The sensor.

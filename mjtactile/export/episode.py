@@ -236,7 +236,7 @@ class RecordedEpisode:
         try:
             fingers = enumerate(self.fingers)
             return tuple(self._perception(k, name, flat, rest) for k, name in fingers)
-        except (DeviceError, InputError):  # a cut-off reference; the log is exported all the same
+        except (DeviceError, InputError):  # a cut-off reference; the log is exported anyway
             return ()
 
     def _perception(self, index: int, finger: str, flat: Any, rest: Any) -> StatefulPipeline:

@@ -154,7 +154,7 @@ def _nearest(p_SM: Array) -> NDArray[np.intp]:
 
 def _largest_px(design: SensorDesign, camera: Camera) -> float:
     """Return a radius above that of any marker, px: twice that of a marker at the glass. Only a
-    frame that is not rectangular has an edge that looks like a circle and encloses all markers."""
+    frame that is not rectangular has an edge that resembles a circle and encloses all markers."""
     if design.frame.outline is None:
         return math.inf
     nearest = max(design.camera.distance - design.chamber.depth, 1e-3)

@@ -49,7 +49,7 @@ class MembraneEstimator:
         reading: PressureReading | None,
     ) -> Estimate:
         """Estimate the shape that explains these markers at `time`, s, or all but one;
-        `fits_markers` checks the result. Dirt on a marker makes it appear larger, and nearer. Such
+        `fits_markers` checks the result. Dirt on a marker makes it appear larger, and closer. Such
         a marker is excluded from then on. `reading` is the newest one of the chamber's pressure
         sensor, if any."""
         image = ImageContext(reference, time, reading)

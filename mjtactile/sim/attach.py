@@ -1,6 +1,6 @@
 """`attach_membrane`: add a sensor's membrane, gas and housing to any MuJoCo scene.
 
-`mjtactile.attach` adds the sensing chain.
+`mjtactile.attach` adds the sensing pipeline.
 
     spec = mujoco.MjSpec.from_file("my_robot.xml")
     configure_options(spec)                                  # integrator, solver, cone, timestep

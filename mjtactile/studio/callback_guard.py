@@ -16,7 +16,7 @@ def guarded(handler: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
     def call(self: Any, event: Any) -> Any:
         try:
             return handler(self, event)
-        except Exception as error:  # noqa: BLE001  # whatever it is, the session goes on
+        except Exception as error:  # noqa: BLE001  # whatever it is, the session continues
             last = traceback.extract_tb(error.__traceback__)[-1]
             self.complain(
                 f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"

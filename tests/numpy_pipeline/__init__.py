@@ -1,2 +1,2 @@
-"""Stages of the sensing chain in numpy, in their form before compilation: the reference for the
+"""Stages of the sensing pipeline in numpy, in their form before compilation: the reference for the
 kernels."""

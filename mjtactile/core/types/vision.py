@@ -149,7 +149,7 @@ class FiducialDetections:
 class CameraDrift:
     """Change of a camera since the rest reference, estimated from the fiducials of one image.
 
-    Planar circles hardly separate some modes (a translated or rotated camera; a nearer camera or a
+    Planar circles hardly separate some modes (a translated or rotated camera; a closer camera or a
     larger scale). The estimate distributes such a change by the modes' prior probability. The total
     change is accurate.
 

@@ -3,7 +3,7 @@ and on their gray levels.
 
 A displacement changes position and orientation of the camera. Lens breathing scales the image. A
 changed tone curve moves all edges inward or outward by about the same amount. So every circle
-appears larger, and nearer. Each effect moves all markers in a pattern that no load on the membrane
+appears larger, and closer. Each effect moves all markers in a pattern that no load on the membrane
 produces. The reason is that the membrane is fixed at its frame.
 """
 

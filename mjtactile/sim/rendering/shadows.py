@@ -11,7 +11,7 @@ field. Light therefore moves in the image with the surface.
 
 Left out:
 
-- refraction of the LEDs' light in the glass (it seems to come from 0.7 mm nearer);
+- refraction of the LEDs' light in the glass (it seems to come from 0.7 mm closer);
 - light scattered within the rubber (it softens edges by about a thickness);
 - overhanging membranes, which a height field cannot represent.
 """

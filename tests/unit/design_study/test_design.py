@@ -56,7 +56,7 @@ def test_marker_covariance_is_that_of_a_circle_of_its_size(paper16):
 
 
 def test_noise_of_the_force_bounds_the_scatter_of_rendered_images(paper16):
-    # the chain's linear step in closed form, against forty images with sampled errors
+    # the pipeline's linear step in closed form, against forty images with sampled errors
     pressed = paper16.press(ball(MIDDLE, 8e-3), 0.5)
     estimated = paper16.estimate_touch(pressed.state)
     reported = math.sqrt(paper16.noise(estimated)[2, 2])

@@ -1,5 +1,5 @@
-"""Tests of the chain's fitted settings: each documents its meaning and source, and an override by
-name has an effect."""
+"""Tests of the pipeline's fitted settings: each documents its meaning and source, and an override
+by name has an effect."""
 
 import dataclasses
 import json

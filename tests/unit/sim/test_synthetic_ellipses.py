@@ -55,7 +55,7 @@ def test_a_circle_on_the_axis_is_a_circle_of_f_r_over_z():
 
 
 def test_exact_ellipses_lead_back_to_the_circles():
-    """Exact ellipses through glass and lens give the circles back, by the sensing chain's closed
+    """Exact ellipses through glass and lens give the circles back, by the sensing pipeline's closed
     form, which is independent code."""
     p_SM, n_S = bulged()
     sampler = EllipseSampler(DESIGN)

@@ -59,7 +59,7 @@ def test_the_kernel_samples_as_the_formula_does():
     """The kernel samples w + G w + b(n) + e from the same random numbers, to the last digits of
     double precision.
 
-    The covariance is the chain's at that load.
+    The covariance is the pipeline's at that load.
     """
     errors = dataclasses.replace(load_errors(DENSE), outliers=np.full(7, 0.5))
     true = np.array([0.1, -0.2, -0.4, 1e-3, 2e-3, 1e-4])
