@@ -83,8 +83,9 @@ def longest_first(items, workers):
 
 
 def name_groups(items):
-    """xdist knows groups by `@group` at the end of a test's name. Its 3.8 writes that where
-    pytest since 9.2 does not read it, and then a group's fixtures are made once a worker."""
+    """Append `@group` to the names of tests in a group, as xdist requires. xdist 3.8 writes it
+    where pytest since 9.2 does not read it, so that each worker would create the group's
+    fixtures."""
     for item in items:
         mark = item.get_closest_marker("xdist_group")
         if mark and not item.nodeid.endswith(f"@{mark.args[0]}"):
@@ -94,8 +95,8 @@ def name_groups(items):
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
-    """Tests marked `hardware` run only when a rig was named; with one, nothing else of the contract
-    suite is left out."""
+    """Skip tests marked `hardware` unless a rig is given; with a rig, all tests of the contract
+    suite run."""
     if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
         items[:] = longest_first(items, workers)
         if config.getvalue("loadgroup"):

@@ -44,7 +44,7 @@ _GENEROUS = (
 
 
 def emulated_rig(object_name: str = "egg") -> EmulatorProcess:
-    """Emulated hardware whose cameras have the rate of `rig_text`."""
+    """Return emulated hardware whose cameras have the rate of `rig_text`."""
     rig_file = load_rig_file("emulated")
     cameras = tuple(replace(camera, rate=RATE) for camera in rig_file.cameras)
     return EmulatorProcess(

@@ -67,7 +67,8 @@ class ReferenceMembrane:
         self.node_area = np.bincount(self.tri.ravel(), np.repeat(self.area0 / 3, 3), len(self.X))
 
     def _elastic(self, x):
-        """Nodal elastic forces (V, 3) (gradient of the energy) and element stiffness (T, 9, 9)."""
+        """Return nodal elastic forces (V, 3) (gradient of the energy) and element stiffness (T, 9,
+        9)."""
         F = np.einsum("tni,tna->tia", x[self.tri], self.G)
         S, moduli = (self._neo_hookean if self.law == "neo-Hookean" else self._stvk)(
             self.stretch**2 * np.einsum("tia,tib->tab", F, F)
@@ -86,7 +87,7 @@ class ReferenceMembrane:
         return nodal, K.reshape(len(K), 9, 9)
 
     def _stvk(self, C):
-        """Stress (T, 2, 2) and its derivative by Green's strain (T, 2, 2, 2, 2), N/m, of
+        """Return stress (T, 2, 2) and its derivative by Green's strain (T, 2, 2, 2, 2), N/m, of
         Cauchy-Green tensors C."""
         E = (C - np.eye(2)) / 2
         one = np.eye(2)
@@ -96,8 +97,8 @@ class ReferenceMembrane:
         return np.einsum("abcd,tcd->tab", moduli, E), np.broadcast_to(moduli, (len(C), 2, 2, 2, 2))
 
     def _neo_hookean(self, C):
-        """The same of W: S = 2 dW/dC at the thickness stretch c^(1/2) at which dW/dc = 0, found by
-        bisection."""
+        """Return the same for W: S = 2 dW/dC at the thickness stretch c^(1/2) at which dW/dc = 0,
+        found by bisection."""
         inverse = np.linalg.inv(C)
         det = np.linalg.det(C)
         low = np.full(len(C), 1e-3)
@@ -117,7 +118,7 @@ class ReferenceMembrane:
         return self.mu * (np.eye(2) - c[:, None, None] * inverse), moduli
 
     def _volume(self, x):
-        """Bulge volume and its gradient (V, 3)."""
+        """Return bulge volume and its gradient (V, 3)."""
         a, b, c = (x[self.tri[:, k]] for k in range(3))
         volume = np.einsum("ti,ti->", a, np.cross(b, c)) / 6
         g = np.zeros_like(x)
@@ -126,7 +127,7 @@ class ReferenceMembrane:
         return volume, g
 
     def solve(self, load, *, gauge=None, sealed=None, x=None):
-        """Equilibrium positions (V, 3) under nodal loads (V, 3) N.
+        """Return equilibrium positions (V, 3) under nodal loads (V, 3) N.
 
         `gauge` Pa: constant pressure; or `sealed` = p V of the gas, J (isothermal). Returns (x,
         gauge pressure).

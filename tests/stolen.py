@@ -31,7 +31,7 @@ def stolen_seconds():
 
 
 def attempt(item, nextitem):
-    """Reports of one try, and the fraction of processor time withheld during it."""
+    """Return reports of one try, and the fraction of processor time withheld during it."""
     stolen = stolen_seconds()
     start = time.monotonic()
     reports = runtestprotocol(item, nextitem=nextitem, log=False)

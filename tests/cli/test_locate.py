@@ -72,8 +72,7 @@ def locate(command, source, *args):
 
 
 def check(frame):
-    """Depth is right to 0.1 mm: the bound is about 0.01 mm there, one pixel of radius would be 4
-    mm."""
+    """Check depth to 0.1 mm: the bound is about 0.01 mm there, one pixel of radius is 4 mm."""
     markers = sorted(frame["markers"], key=lambda m: (round(m["uv_px"][1] / 60), m["uv_px"][0]))
     assert [m["status"] for m in markers] == ["ok"] * 9
     for marker, (u, v) in zip(markers, CENTERS_PX, strict=True):

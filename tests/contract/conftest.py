@@ -8,7 +8,7 @@ from tests.patient import SLOW_CAMERA_DESIGN, patient_rig_file
 
 @pytest.fixture(scope="module")
 def emulator():
-    """Emulated hardware with an egg and long time-outs, one for each test file."""
+    """Provide emulated hardware with an egg and long time-outs, one for each test file."""
     process = EmulatorProcess(patient_rig_file(), SLOW_CAMERA_DESIGN, object_name="egg", seed=0)
     yield process
     process.close()

@@ -35,7 +35,7 @@ ZEROS = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
 
 
 def message_class(store, kind):
-    """A class whose instances have the message's fields, zero at first, and take no others."""
+    """Return a class whose instances have only the message's fields, initially zero."""
     fields = store.fielddefs[kind][1]
 
     def initial(form):
@@ -59,7 +59,7 @@ def message_class(store, kind):
 
 
 def to_wire(store, message):
-    """The message as rosbags' own, which checks every type when it is written."""
+    """Return the message as a rosbags message, which checks every type when it is written."""
 
     def real(value, form):
         node_kind = form[0].name

@@ -26,7 +26,7 @@ WORLDS, TIMESTEP, FORCE = 2, 0.002, 0.6
 
 
 def entities():
-    """The gripper and the egg of the example, as two entities."""
+    """Return the gripper and the egg of the example, as two entities."""
     scene = runpy.run_path(str(EXAMPLE))["GRIPPER"]
     egg = re.search(r'<body name="egg".*?</body>', scene, re.DOTALL).group(0)
     named = egg.replace("<freejoint/>", '<freejoint name="free"/>')

@@ -31,8 +31,8 @@ _DIVISORS = np.array([[2.0], [6.0], [6.0], [12.0], [24.0], [12.0]])  # of the po
 def moments(
     points: NDArray[np.int32], counts: NDArray[np.int64], size: tuple[int, ...]
 ) -> Candidates:
-    """Area moments of all borders at once, by Green's theorem on the polygons through their pixels'
-    centres.
+    """Return area moments of all borders at once, by Green's theorem on the polygons through their
+    pixels' centres.
 
     `points` (P, 1, 2) of one border after the other, `counts` (N,) of them.
     """
@@ -89,8 +89,8 @@ def _distance(xy: Array, center: Array, shape: Array, counts: NDArray[np.int64])
 def implausible(
     found: candidates.Candidates, min_radius_px: float, s: MarkerSettings
 ) -> NDArray[np.str_]:
-    """Why each cannot be a marker: too small or long, or a border far from its own ellipse (further
-    if cut); "" if it can."""
+    """Return the reason why each fit is not a marker: too small or long, or a border far from its
+    ellipse (with a larger limit if cut); "" for a marker."""
     axes, _ = ellipse.axes_from_shape(found.shape)
     a, b = axes.T
     reason = np.full(len(a), "", dtype="<U24")

@@ -110,8 +110,8 @@ def pose_covariances(
 
 
 def circles_from_cones(Q: Array, radius: Array) -> tuple[Array, Array]:
-    """The closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on the
-    cones `Q` (N, 3, 3).
+    """Return the closed form: centres and normals, each (2, N, 3), of circles of `radius` (N,) on
+    the cones `Q` (N, 3, 3).
 
     Q has one negative eigenvalue (the inside of the ellipse is negative), its eigenvector within 90
     deg of z. Normals point towards the camera.
@@ -338,8 +338,8 @@ def _derivative(
 
 
 def _tilted(n: Array, p: Array) -> Array:
-    """Normals (N, 3), pushed away from exactly face-on, where the ellipse does not change with the
-    tilt."""
+    """Return normals (N, 3), pushed away from exactly face-on, where the ellipse does not change
+    with the tilt."""
     far = np.sqrt((p * p).sum(axis=1))
     flat = -(n * p).sum(axis=1) > np.cos(_MIN_TILT) * far
     if not flat.any():

@@ -98,8 +98,8 @@ def _margin(blur_px: float) -> int:
 
 
 def _resampling(count: int) -> tuple[Array, Array]:
-    """Trigonometric interpolation (count, _SAMPLES) from equally spaced samples of a period to
-    `count` points, and the same for the curve's derivative times the period / count."""
+    """Return trigonometric interpolation (count, _SAMPLES) from equally spaced samples of a period
+    to `count` points, and the same for the curve's derivative times the period / count."""
     if count not in _RESAMPLING:
         angle = np.arange(count)[:, None] * (2 * np.pi / count) - np.arange(_SAMPLES) * (
             2 * np.pi / _SAMPLES
@@ -135,7 +135,7 @@ def _coverage(xy: Array, rise: Array, size: Sequence[int], blur_px: float) -> Fl
 
 
 def _table_rows(x: Array, pixels: int, blur_px: float) -> NDArray[np.int64]:
-    """Rows of `_table` for curve points `x`; beyond its reach the functions are constant."""
+    """Return rows of `_table` for curve points `x`; beyond its reach the functions are constant."""
     border = _margin(blur_px) + 1
     place = np.rint((np.clip(x, -border, pixels - 1 + border) + border) * _BINS).astype(np.int64)
     pixel = place // _BINS
@@ -144,8 +144,8 @@ def _table_rows(x: Array, pixels: int, blur_px: float) -> NDArray[np.int64]:
 
 
 def _table(pixels: int, blur_px: float, *, integral: bool) -> Floats:
-    """Read-only window view (rows, pixels): row r holds h or H(u - x) at pixels u = 0, 1, ... for
-    the x of row r."""
+    """Return a read-only window view (rows, pixels): row r holds h or H(u - x) at pixels u = 0, 1,
+    ... for the x of row r."""
     key = pixels, blur_px, integral
     if key not in _TABLES:
         if len(_TABLES) > 128:

@@ -15,7 +15,7 @@ _DIAGONAL = np.arange(PARAMETERS)
 
 
 def fit_pixels(pixels, theta, blur, steps, small, s: EdgeSettings):
-    """As `edge_fit.fit_pixels`, with the same number of steps for all markers."""
+    """Fit as `edge_fit.fit_pixels`, with the same number of steps for all markers."""
     stride = max(1, int(pixels.counts.mean()) // edge_fit._PIXELS_FIRST)
     some = _every(pixels, stride)
     J = np.empty((PARAMETERS, len(some.x)), np.float32)
@@ -38,7 +38,8 @@ def fit_pixels(pixels, theta, blur, steps, small, s: EdgeSettings):
 
 
 def gamma_equations(pixels, theta, gamma, *, robust):
-    """As `gamma.equations`. Gray levels relative to 128 keep light of order one."""
+    """Return the equations of `gamma.equations`. Gray levels relative to 128 keep light of order
+    one."""
     edge = theta[:, 5:7] / 128
     linear = theta.copy()
     linear[:, 5:7] = edge**gamma
@@ -92,7 +93,7 @@ def _normal(pixels: Pixels, theta, J, residual, weight, blur):
 
 
 def _robust(pixels: Pixels, residual, theta, s: EdgeSettings):
-    """Weights 1/(1 + (r/c)^4). c is a multiple of the marker's rms residual, but at least a
+    """Return weights 1/(1 + (r/c)^4). c is a multiple of the marker's rms residual, but at least a
     fraction of its contrast: effects of the lens that the model omits are no outliers."""
     scale = np.maximum(
         s.outlier_residuals * np.sqrt(pixels.sums(residual * residual) / pixels.counts),

@@ -9,7 +9,8 @@ from mjtactile.sensing.image.ellipse import inverse_shape
 
 
 def conic_from_shape(center: Array, shape: Array) -> Array:
-    """Conic matrices (N, 3, 3): x^T M x = |S^-1 (x - c)|^2 - 1, negative inside (paper Eq. 2)."""
+    """Return conic matrices (N, 3, 3): x^T M x = |S^-1 (x - c)|^2 - 1, negative inside (paper Eq.
+    2)."""
     p, q, s = inverse_shape(shape).T
     A = np.empty((len(center), 2, 2))
     A[:, 0, 0] = p * p + q * q

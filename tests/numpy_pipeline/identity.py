@@ -96,7 +96,7 @@ def _common_shift(found: Array, expected: Array, pitch: float, s: IdentitySettin
 
 
 def _mutual_nearest(found: Array, expected: Array, gate: float) -> Ids:
-    """Pairs that are each other's nearest and closer than `gate`: ids (N,), -1 for none."""
+    """Return mutual nearest neighbours closer than `gate`: ids (N,), -1 for none."""
     d2 = np.nan_to_num(_squared_distances(found, expected), nan=np.inf)
     ids = np.argmin(d2, axis=1)
     back = np.argmin(d2, axis=0)
@@ -105,5 +105,5 @@ def _mutual_nearest(found: Array, expected: Array, gate: float) -> Ids:
 
 
 def _squared_distances(a: Array, b: Array) -> Array:
-    """Squares (N, M) of the distances of points (N, 2) and (M, 2)."""
+    """Return squares (N, M) of the distances of points (N, 2) and (M, 2)."""
     return np.subtract.outer(a[:, 0], b[:, 0]) ** 2 + np.subtract.outer(a[:, 1], b[:, 1]) ** 2

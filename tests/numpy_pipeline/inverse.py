@@ -80,7 +80,7 @@ class DenseInverse(InverseMembrane):
         )
 
     def _times(self, vector: Array, sd: Array) -> Array:
-        """The prior covariance times a vector (3 J,)."""
+        """Return the prior covariance times a vector (3 J,)."""
         by_x, by_y = self.prior.root
         half = by_x.T @ (vector * sd).reshape(3, len(by_x), len(by_y)) @ by_y
         return sd * (by_x @ half @ by_y.T).ravel()
@@ -242,7 +242,8 @@ def half_of(prior: LoadPrior, rows: Array, sd: Array) -> Array:
 
 
 def moments(estimator: InverseMembrane, c: Array) -> Array:
-    """Matrix (6, 3 J) that adds tractions (3, J) up to force and torque about the origin of S."""
+    """Return the matrix (6, 3 J) that sums tractions (3, J) to force and torque about the origin of
+    S."""
     x, y, z = estimator.node_positions(c).T
     one = np.ones_like(x)
     zero = np.zeros_like(x)

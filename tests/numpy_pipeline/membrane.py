@@ -24,7 +24,7 @@ _HIGH = 3.0
 
 
 def volume_and_gradient(mesh: MembraneMesh, p_SV: Array) -> tuple[float, Array]:
-    """V (m^3) over the flat membrane and dV/dp (k, 3) m^2 at the interior vertices."""
+    """Return V (m^3) over the flat membrane and dV/dp (k, 3) m^2 at the interior vertices."""
     a, b, c = (p_SV[mesh.triangles[:, i]] for i in range(3))
     area = 0.5 * np.cross(b - a, c - a)
     gradient = np.zeros_like(p_SV)
@@ -36,7 +36,7 @@ def volume_and_gradient(mesh: MembraneMesh, p_SV: Array) -> tuple[float, Array]:
 def stiffness(
     model: mujoco.MjModel, flex_id: int, mesh: MembraneMesh, membrane: Membrane, p_SV: Array
 ) -> Array:
-    """Rows (m, 6) of MuJoCo's stiffness at the strain that the vertices at `p_SV` (n, 3) m mean."""
+    """Return rows (m, 6) of MuJoCo's stiffness at the strain of vertices at `p_SV` (n, 3), m."""
     elements = EdgeMatrices(model, flex_id, mesh)
     edges = (p_SV[elements.ends[:, 1]] - p_SV[elements.ends[:, 0]])[elements.edges]
     C = np.einsum("mij,mj->im", elements.metric * membrane.pre_stretch**2, (edges**2).sum(axis=2))
@@ -169,8 +169,8 @@ class Stiction:
         self._travel[:] = 0.0
 
     def _find(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Rows of MuJoCo's contact list that push on vertices; which side of each, 0 or 1, the
-        vertex is; the vertices."""
+        """Return rows of MuJoCo's contact list with vertices; the side of the vertex in each, 0 or
+        1; the vertices."""
         contact = self._data.contact
         numbers = contact.geom - self._first  # of the vertices, or out of range
         mine = (numbers >= 0) & (numbers < self._count)
@@ -282,12 +282,13 @@ class Stiction:
 
 
 def _in_plane(memory: Array, c: _Contacts) -> Array:
-    """Components (2, n) in the contacts' planes of the `memory` (3, k) of all vertices, in S."""
+    """Return components (2, n) in the contacts' planes of the `memory` (3, k) of all vertices, in
+    S."""
     return (c.axes * memory[:, c.vertices]).sum(axis=1)
 
 
 def _in_space(vectors: Array, c: _Contacts) -> Array:
-    """Components (3, n) in S of `vectors` (2, n) in the contacts' planes."""
+    """Return components (3, n) in S of `vectors` (2, n) in the contacts' planes."""
     return c.axes[0] * vectors[0] + c.axes[1] * vectors[1]
 
 
@@ -296,5 +297,5 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _shorten(vectors: Array, maximum: Array) -> Array:
-    """The vectors (2, n), none longer than `most` (n,)."""
+    """Return the vectors (2, n), limited to the length `most` (n,)."""
     return vectors * np.minimum(maximum / np.sqrt(np.maximum(_dot(vectors, vectors), _TINY)), 1.0)

@@ -26,7 +26,7 @@ from mjtactile.sensing.settings import DEFAULTS, PatchSettings
 def find_patches(
     estimator: InverseMembrane, shape: Shape, rest: InverseRest, s: PatchSettings = DEFAULTS.patches
 ) -> tuple[Contact, ...]:
-    """Contact patches, the strongest first; empty when nothing presses."""
+    """Return contact patches, the strongest first; empty without contact."""
     nx = len(estimator.x)
     ny = len(estimator.y)
     pressing = np.zeros((nx, ny))
@@ -82,8 +82,8 @@ def find_patches(
 
 
 def _fine_positions(estimator: InverseMembrane, shape: Shape) -> tuple[Array, Array]:
-    """Positions (a, b, 3) m in S of the fine grid's points, and the curved area (a, b) m^2 that
-    each stands for."""
+    """Return positions (a, b, 3), m in S, of the fine grid's points, and the curved area (a, b),
+    m^2, of each."""
     position = np.moveaxis(estimator.fine_positions(shape.c), 0, -1)
     across = position[:, 2:] - position[:, :-2]
     along = position[2:] - position[:-2]
@@ -131,8 +131,8 @@ def _strongest(field: Array, cells: Array, area: float) -> NDArray:
 
 @cache
 def _smoother(nodes: int, sd: float) -> Array:
-    """Matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian smoothing, `sd`
-    in nodes, then linear."""
+    """Return the matrix (REFINE (nodes - 1) + 1, nodes) from nodes to the fine grid: Gaussian
+    smoothing, `sd` in nodes, then linear."""
     index = np.arange(nodes)
     kernel = np.exp(-0.5 * (np.subtract.outer(index, index) / sd) ** 2)
     kernel /= kernel[nodes // 2].sum()
@@ -141,7 +141,7 @@ def _smoother(nodes: int, sd: float) -> Array:
 
 
 def _nearest_place(places: NDArray) -> NDArray:
-    """For each point the number of the nearest labelled place; 0 when there is none."""
+    """Return for each point the label of the nearest labelled position; 0 without one."""
     if places.max() <= 1:
         return np.full_like(places, places.max())
     _, nearest = cv2.distanceTransformWithLabels(
@@ -161,8 +161,8 @@ def _patch(
     cells: Array,
     sink: Array,
 ) -> Contact:
-    """One patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its pressure
-    `weight` (a, b)."""
+    """Return one patch from its fine cells `inside` (a, b), its grid nodes (nx, ny) and its
+    pressure `weight` (a, b)."""
     fraction = weight / weight.sum()
     centroid = np.einsum("ab,abi->i", fraction, position[..., :2])
     area = float(cells[inside].sum())
@@ -189,7 +189,7 @@ def _patch(
 
 
 def _spread(points: Array, weight: Array) -> Array:
-    """Second moments (2, 2) of weighted points (n, 2) about their mean."""
+    """Return second moments (2, 2) of weighted points (n, 2) about their mean."""
     fraction = weight / weight.sum()
     off = points - fraction @ points
     return (off.T * fraction) @ off

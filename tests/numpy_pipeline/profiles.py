@@ -137,8 +137,8 @@ def fit(
 def _approach(
     source: NDArray, center: Array, shape: Array, s: ProfileSettings
 ) -> tuple[Array, Array, float]:
-    """Ellipses near the edge by area, and the image's blur; the window grows until it holds the
-    blurred edge."""
+    """Return ellipses near the edge by area, and the image's blur; the window grows until it
+    contains the blurred edge."""
     fan = _fan(_COARSE_COUNT)
     step = _COARSE_STEP
     sigma = s.start_blur
@@ -190,7 +190,7 @@ def _retreat(blur: NDArray, line: _Outline, maximum: float) -> tuple[Array, NDAr
 
 
 def _perimeter(shape: Array) -> Array:
-    """Perimeters (N,) px of the ellipses, to a percent."""
+    """Return perimeters (N,) px of the ellipses, to a percent."""
     return 2 * np.pi * np.sqrt((shape[:, 0] ** 2 + shape[:, 2] ** 2) / 2 + shape[:, 1] ** 2)
 
 
@@ -280,8 +280,8 @@ def _read(
 
 
 def _levels(numbers: NDArray, fan: _Fan, outlier: float) -> tuple[NDArray, NDArray, NDArray]:
-    """Levels (N, K) inside and outside of each profile: per marker, plus a gradient of the light
-    across it.
+    """Return levels (N, K) inside and outside of each profile: per marker, plus a gradient of the
+    light across it.
 
     Also the sd (2, N) of a single profile's level about them.
     """

@@ -85,7 +85,7 @@ class SplineMembrane:
     # --------------------------------------------------------------------------------
 
     def state(self, c: Array, scale: float = 1.0) -> State:
-        """Everything at the Gauss points for coefficients `c` (3, n) m."""
+        """Return the state at the Gauss points for coefficients `c` (3, n), m."""
         x, g1, g2 = self._positions(c)
         normal = _cross(g1, g2)
         C = self._lambda2 * np.stack([(a * b).sum(0) for a, b in ((g1, g1), (g2, g2), (g1, g2))])
@@ -101,7 +101,7 @@ class SplineMembrane:
         )
 
     def _positions(self, c: Array) -> tuple[Array, Array, Array]:
-        """Positions and tangents (3, qx, qy) at the Gauss points."""
+        """Return positions and tangents (3, qx, qy) at the Gauss points."""
         qx, qy = self.weights.shape
         # (3, 2 qx, 2 qy): value and slope along x, y
         up = self._up_x @ c.reshape(3, *self.shape) @ self._up_y
@@ -116,20 +116,20 @@ class SplineMembrane:
         return x, g1, g2
 
     def residual(self, state: State, gauge_pressure: float) -> Array:
-        """Generalised forces (3, n) N that hold the state: elastic minus gas (Eq. F9); zero at
-        rest."""
+        """Return generalised forces (3, n), N, in equilibrium with the state: elastic minus gas
+        (Eq. F9); zero at rest."""
         S11, S22, S12 = state.S
         P1 = S11 * state.g1 + S12 * state.g2
         P2 = S12 * state.g1 + S22 * state.g2
         return self._dual(-gauge_pressure * state.normal, P1, P2)
 
     def volume_gradient(self, state: State) -> Array:
-        """dV/dc (3, n), m^2."""
+        """Return dV/dc (3, n), m^2."""
         return self._integrate(state.normal, 0, 0)
 
     def tangent(self, state: State, gauge_pressure: float) -> Array:
-        """d(residual)/dc at constant pressure (3 n, 3 n) N/m, its lower triangle of 3 x 3 blocks
-        only (Eq. F10)."""
+        """Return d(residual)/dc at constant pressure (3 n, 3 n) N/m, its lower triangle of 3 x 3
+        blocks only (Eq. F10)."""
         g1, g2, (S11, S22, S12), w = state.g1, state.g2, state.S, self.weights
         D11, D22, D12, D16, D26, D66 = state.scale * self._lambda2 * self._law.moduli(*state.strain)
         i, j = _LOWER
@@ -157,8 +157,8 @@ class SplineMembrane:
         return full.reshape(3 * self.count, 3 * self.count)
 
     def _pairs(self, values: Array, along_x: tuple[int, int], along_y: tuple[int, int]) -> Array:
-        """Integrals of `values` (..., qx, qy) times pairs of splines, or of their slopes, that
-        overlap."""
+        """Return integrals of `values` (..., qx, qy) times pairs of splines, or of their slopes,
+        that overlap."""
         return self._px[along_x] @ values @ self._py[along_y]
 
     def _integrate(self, values: Array, along_x: int, along_y: int) -> Array:
@@ -172,7 +172,7 @@ class SplineMembrane:
         )
 
     def gas_pressure(self, state: State, gas: Gas) -> tuple[float, float]:
-        """Gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
+        """Return gauge pressure, Pa, and stiffness -dp/dV, Pa/m^3, of the gas in this state."""
         chamber = self.design.chamber
         volume = self.design.chamber_volume_flat + state.volume
         return (
@@ -181,7 +181,7 @@ class SplineMembrane:
         )
 
     def linearise(self, state: State, gas: Gas) -> tuple[Array, tuple[Array, bool]]:
-        """Residual (3 n,) and the Cholesky factor of its tangent, gas stiffness included."""
+        """Return residual (3 n,) and the Cholesky factor of its tangent, gas stiffness included."""
         pressure, stiffness = self.gas_pressure(state, gas)
         K = self.tangent(state, pressure)
         if stiffness:
@@ -191,14 +191,14 @@ class SplineMembrane:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Vector products (3, ...)."""
+    """Return vector products (3, ...)."""
     return np.stack(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 def _overlapping(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Index pairs of the cubic splines whose supports overlap."""
+    """Return index pairs of the cubic splines whose supports overlap."""
     index = np.arange(count)
     near = np.abs(index[:, None] - index) <= 3
     rows, columns = np.nonzero(near)
@@ -206,7 +206,8 @@ def _overlapping(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def definite_factor(K: Array) -> tuple[Array, bool]:
-    """Cholesky factor of K, pushed towards the identity when it is not positive definite."""
+    """Return the Cholesky factor of K, shifted towards the identity if K is not positive
+    definite."""
     push = 0.0
     while True:
         try:

@@ -42,8 +42,8 @@ class Spline:
     markers: int
 
     def surface(self) -> Measured:
-        """Heights on the grid, area and volume by Gauss quadrature, and their uncertainties to
-        first order."""
+        """Return heights on the grid, area and volume by Gauss quadrature, and their uncertainties
+        to first order."""
         f = self.fitter
         c = self.coefficients
         z_x = f.quad_y[0] @ c @ f.quad_x[1].T
@@ -222,8 +222,8 @@ class SurfaceFitter:
         )
 
     def _energy(self, wx: Array, wy: Array, *terms: tuple[tuple[int, int], ...]) -> Array:
-        """Matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an order of
-        derivative (x, y)."""
+        """Return the matrix of the integral of sum over `terms` of (d1 z + d2 z + ...)^2, each d an
+        order of derivative (x, y)."""
 
         def gram(tables: list[Array], w: Array, a: int, b: int) -> Array:
             return tables[a].T @ (w[:, None] * tables[b])
@@ -237,7 +237,7 @@ class SurfaceFitter:
 
 
 def _products(down: Array, across: Array) -> Array:
-    """Row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
+    """Return row-wise Kronecker product (N, ny * nx) of (N, ny) and (N, nx)."""
     return (down[:, :, None] * across[:, None, :]).reshape(
         len(down), down.shape[1] * across.shape[1]
     )

@@ -18,7 +18,7 @@ GRAVITY = 9.81
 
 @pytest.fixture(scope="module", params=["egg", "vial", "strawberry"])
 def held(request):
-    """An object held 20 mm above the table with 0.5 N (the strawberry with 0.4 N)."""
+    """Provide an object held 20 mm above the table with 0.5 N (the strawberry with 0.4 N)."""
     force = 0.4 if request.param == "strawberry" else 0.5
     world = GraspWorld("paper16", request.param, timestep=TIMESTEP, mesh=MESH)
     for i in range(2):
@@ -35,7 +35,7 @@ def held(request):
 
 
 def forces(world, count=30):
-    """Contact forces on both membranes (2, 3) and the servo's force, averaged over `count`
+    """Return contact forces on both membranes (2, 3) and the servo's force, averaged over `count`
     steps."""
     contact = np.zeros((2, 3))
     servo = 0.0

@@ -15,7 +15,7 @@ DEPTHS = (2e-3, 3e-3)
 
 
 def pressed(indenter, depths=DEPTHS, *, pressure=1000.0, **how):
-    """Forces, N, and penetrations, m, of a sealed press at each depth."""
+    """Return forces, N, and penetrations, m, of a sealed press at each depth."""
     world = PressWorld("paper16", Indenter.parse(indenter), **how)
     world.inflate(pressure, seal=True)
     rows = []

@@ -15,7 +15,7 @@ VOLUME = 2.4e-5
 
 
 def closed(gauge=1000.0, **chamber):
-    """A chamber of 24 mL, filled to `gauge` Pa and closed."""
+    """Return a chamber of 24 mL, filled to `gauge` Pa and closed."""
     gas = ChamberGas(Chamber(0.02, **chamber))
     gas.open(gauge)
     gas.advance(VOLUME, 0.0)

@@ -52,7 +52,7 @@ def ball(name, x, y, z, radius, mass, joint=SLIDE):
 
 
 def applied(world, body):
-    """Vertical force, N, of the membranes on a body with a slide."""
+    """Return vertical force, N, of the membranes on a body with a slide."""
     return float(world.data.qfrc_applied[world.model.body_dofadr[world.model.body(body).id]])
 
 

@@ -1,4 +1,4 @@
-"""Many steps in one go are the very steps that are done one by one."""
+"""Tests that many steps in one call equal single steps."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from mjtactile.sim import ground_truth
 
 
 def gripper_rig(task="lift"):
-    """An egg between inflated films."""
+    """Return an egg between inflated membranes."""
     rig = build_rig(Scenario(object="egg", effects="-mesh,-pipeline", seed=3, task=task))
     world = rig.scene
     for sensor in world.sensors:
@@ -47,7 +47,7 @@ def test_many_steps_in_one_call_equal_single_steps():
     (*fast, fast_forces), (*slow, slow_forces) = found
     for ours, theirs in zip(fast, slow, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    # where the scene is looked at, forces are those of after the step
+    # if the scene is read, forces are those after the step
     assert (fast_forces == slow_forces).mean() > 0.99
     # force in N: the object is held
     assert found[0][3].shape == (631, 2) and found[0][3][-1].max() < -0.9

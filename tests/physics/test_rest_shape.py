@@ -28,8 +28,8 @@ def references(
     pre_stretch=0.0,
     seed=0,
 ):
-    """The sensor file's chain with both references of a specimen `own`, which is pressed `depth` m
-    during the second."""
+    """Return the pipeline of the sensor file with both references of an as-built sensor `own`,
+    which is pressed by `depth` m during the second."""
     design = load_sensor(sensor)
     true = true_design(design, own)
     true = replace(

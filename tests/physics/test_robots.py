@@ -33,9 +33,9 @@ LIFT = "travel_mm = 150.0"
 
 
 def variant(folder, name, model=(), rig=()):
-    """A copy of a shipped rig with texts of its model and its rig file replaced.
+    """Return a copy of a shipped rig with texts of its model and its rig file replaced.
 
-    It lifts by 50 mm and moves at 100 mm/s, to spare the way.
+    It lifts by 50 mm and moves at 100 mm/s, which shortens the motion.
     """
     text = resources.find(name, "models/rigs", ".toml").read_text()
     xml = (
@@ -60,7 +60,7 @@ def make(rig, grasped="egg", **settings):
 
 
 def tips(world):
-    """Fingertips (n, 3) m and rotations (n, 3, 3)."""
+    """Return fingertips (n, 3) m and rotations (n, 3, 3)."""
     bodies = [sensor.body_id for sensor in world.sensors]
     return world.data.xpos[bodies].copy(), world.data.xmat[bodies].reshape(-1, 3, 3).copy()
 

@@ -188,8 +188,8 @@ def _state(model):
 
 
 def slab(half_height: float, poisson: float = NU) -> tuple[SoftBody, float, float]:
-    """A block of 23 x 23 mm of mesh, the mesh's section m^2 and its height m (the skin is not
-    strained)."""
+    """Return a block of 23 x 23 mm of mesh, the mesh's section m^2 and its height m (the skin is
+    not strained)."""
     body = SoftBody("block", (0.012, 0.012, half_height), E, poisson, 1e3, break_stress=1e3)
     return body, 0.023**2, 2 * (half_height - body.skin)
 

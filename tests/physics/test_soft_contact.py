@@ -12,7 +12,8 @@ from mjtactile.sim.scenes.soft_bodies import SHIPPED
 
 
 def squeezed(path, opening):
-    """Opening m, force N and area of contact m^2 on a finger, of a ball between two membranes."""
+    """Return opening m, force N and area of contact m^2 on a finger, of a ball between two
+    membranes."""
     world = GraspWorld("dense", path, timestep=6e-3, opening=0.032)
     for finger in range(2):
         world.sensors[finger].open_valve()

@@ -54,7 +54,7 @@ class Bench:
         return Markers(np.arange(len(p)), p, n, np.tile(np.eye(3) * noise**2, (len(p), 1, 1)))
 
     def press(self, force, center=(0.0, 0.0), radius=0.006):
-        """Equilibrium under a parabolic pressure patch with the given resultant (3,) N."""
+        """Return equilibrium under a parabolic pressure patch with the given resultant (3,) N."""
         r2 = np.sum((self.fem.X - center) ** 2, axis=1) / radius**2
         weight = np.clip(1 - r2, 0, None) * self.fem.node_area
         return self.fem.solve(np.outer(weight / weight.sum(), force), sealed=self.sealed, x=self.x0)

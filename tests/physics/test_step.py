@@ -40,7 +40,7 @@ def state(model, data):
 
 
 def pairs(model, data, sensor, **how):
-    """States after each step of `advance`, and of `mj_step` from the same state.
+    """Yield states after each step of `advance`, and of `mj_step` from the same state.
 
     Halfway an impulse acts on the arm. The last step's acceleration is then a bad start for the
     solver, and the result depends on the first solve.

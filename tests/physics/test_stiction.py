@@ -41,7 +41,8 @@ def pressed(depth=2e-3, *, friction=MU, **how):
 
 
 def mean_shear(world):
-    """Along x, N, over 50 steps: the solver's tolerance rocks it by 0.3-0.5 %."""
+    """Return the force along x, N, over 50 steps: the solver's tolerance changes it by 0.3-0.5
+    %."""
     shears = []
     for _ in range(50):
         world.step()

@@ -24,7 +24,7 @@ QUASISTATIC = {
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
-    """Forces settle within 1 % in 0.3 s; the benchmark waits longer."""
+    """Shorten the waiting time: forces settle within 1 % in 0.3 s."""
     monkeypatch.setattr("benchmarks.thin_objects.press._STILL", 0.3)
 
 

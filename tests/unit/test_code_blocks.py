@@ -85,7 +85,7 @@ def name_of(page):
 
 
 def fenced(*languages):
-    """Page, number among its blocks of these languages, text."""
+    """Yield page, index among its blocks of these languages, text."""
     return [
         (name_of(page), number, text)
         for page in PAGES
@@ -96,7 +96,7 @@ def fenced(*languages):
 
 
 def shell_lines():
-    """Page and line, of fenced and of indented blocks, continued lines joined."""
+    """Yield page and line of fenced and indented blocks, with continued lines joined."""
     for page in PAGES:
         text = page.read_text()
         blocks = [block for language, block in FENCE.findall(text) if language in ("bash", "sh")]

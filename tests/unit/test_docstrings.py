@@ -21,12 +21,12 @@ def section(item, title):
 
 
 def plain(function):
-    """A method's function."""
+    """Return a method's function."""
     return function.__func__ if isinstance(function, classmethod | staticmethod) else function
 
 
 def functions():
-    """Every public function, and every public method of public classes."""
+    """Yield every public function, and every public method of public classes."""
     for name in mjtactile.__all__:
         item = getattr(mjtactile, name)
         if not inspect.isclass(item):

@@ -24,7 +24,7 @@ COMMAND = {"opening": 0.05, "force_limit": 1.0}
 
 @cache
 def made():
-    """Values that calls need."""
+    """Return the arguments of the calls."""
     command = mjtactile.Command(**COMMAND)
     gripper = mjtactile.GripperState(0.05, 0.0, 0.0, 0.0)
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
@@ -211,7 +211,7 @@ def test_fields_next_to_a_scenario_are_refused():
 
 @cache
 def objects():
-    """Objects with public methods."""
+    """Return objects with public methods."""
     membrane = mjtactile.QuasistaticMembrane("dense", (9, 9))
     touch = mjtactile.Touch(0.0, 0.0, 1.0, 0.0, True)
     count = {"time": np.zeros(3), "images": np.zeros((3, 0)), "image_time": np.zeros((3, 0))}

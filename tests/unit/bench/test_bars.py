@@ -18,7 +18,7 @@ SD = np.array([1e-3, 2e-3, 8e-3, 1e-5, 2e-5, 3e-5])
 
 
 def image(z, true=(0.0, 0.0, -0.5, 0.0, 0.0, 0.0), **more):
-    """A row with an error of `z` (6,) standard deviations."""
+    """Return a row with an error of `z` (6,) standard deviations."""
     row = {
         "time": 0.0,
         "status": "ok",

@@ -9,7 +9,7 @@ from mjtactile.grasp_estimation.slip_signs import MOVES, NONE, SOME
 
 
 def row(used, sign, friction=0.5, harder=0.0, more=0.0):
-    """One image at a utilization `used` over the coefficient."""
+    """Return one image at a utilization `used` over the coefficient."""
     found = {"used": used * friction, "friction": friction, "sign": sign, "slid": used * friction}
     return found | {"harder": harder, "more": more}
 

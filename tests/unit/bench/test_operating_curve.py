@@ -15,7 +15,7 @@ SECONDS = 2.0
 
 
 def frames(onset):
-    """Two seconds that hold, and from `onset` on slide at 4 mm/s (NaN: never)."""
+    """Return two seconds that hold, and from `onset` on slide at 4 mm/s (NaN: never)."""
     result = []
     for time in np.arange(int(SECONDS * RATE)) / RATE:
         slides = time >= onset
@@ -25,7 +25,8 @@ def frames(onset):
 
 
 def signs(frames, *times):
-    """Signs of each scale, where the k-th scale reports slip for two images from `times[k]`, s."""
+    """Return signs of each scale, where the k-th scale reports slip for two images from `times[k]`,
+    s."""
     one = [[at <= f.time + 1e-9 < at + 1.5 / RATE for at in times] for f in frames]
     return [[*row, *[False] * (len(SCALES) - len(row))] for row in one]
 

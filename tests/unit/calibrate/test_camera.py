@@ -25,7 +25,7 @@ PIXELS = 60  # px per square of the rendered board
 
 
 def rays():
-    """Undistorted (x, y) of each pixel, by OpenCV's inverse of its own model."""
+    """Return undistorted (x, y) of each pixel, by OpenCV's inverse of its own model."""
     u, v = np.meshgrid(np.arange(SIZE[0], dtype=float), np.arange(SIZE[1], dtype=float))
     points = np.stack([u.ravel(), v.ravel()], axis=1)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
@@ -62,7 +62,7 @@ def image(rotation, shift, seed, noise=2.0):
 
 
 def poses(count, tilt=0.5, spread=1.0):
-    """Board poses all over the view, tilted by up to `tilt` rad."""
+    """Return board poses distributed over the view, tilted by up to `tilt` rad."""
     rng = np.random.default_rng(4)
     center = np.array([BOARD.columns, BOARD.rows]) * BOARD.square / 2
     for i in range(count):

@@ -48,8 +48,8 @@ def poses(count, seed=3):
 
 
 def exact_view(pose, camera=CAMERA, noise_px=0.02, seed=0):
-    """The centres of the images' areas, which are the ellipses', by integration along the rims, and
-    noise."""
+    """Return noisy centers of the image areas, those of the ellipses, by integration along the
+    rims."""
     places, circles = board(*pose)
     uv = []
     for circle in circles:

@@ -192,7 +192,7 @@ class Mechanism:
 
 @pytest.fixture
 def short_waits(monkeypatch):
-    """The guided run's waiting times, shortened: the mechanism here settles at once."""
+    """Shorten the waiting times of the guided run: the mechanism here settles at once."""
     for name, value in (
         ("_SPEED", 0.1),
         ("_REST_TIME", 0.1),

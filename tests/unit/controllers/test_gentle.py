@@ -30,7 +30,7 @@ def touch(force, slipped=0.0):
 
 
 def heavy(fx, fy):
-    """A finger that presses with 0.6 N and carries a load."""
+    """Return a finger that presses with 0.6 N and carries a load."""
     wrench = np.array([fx, fy, -0.6, 0.0, 0.0, 0.0])
     grid = np.linspace(-0.01, 0.01, 3)
     traction = Traction(grid, grid, np.zeros((3, 3, 3)), wrench, np.eye(6) * 1e-6, 1e3, "made up")

@@ -26,7 +26,7 @@ COUNT = DESIGN.markers.count
 
 
 def made(kind):
-    """A part of that kind, measured now."""
+    """Return a new part of that kind."""
     mark = stamp(DESIGN, {"mjtactile": "1"}, {"rms_px": 0.1})
     rest = RestMarkers(
         Markers(np.arange(3), np.eye(3) * 1e-3, np.eye(3), np.tile(1e-12 * np.eye(3), (3, 1, 1))),

@@ -18,8 +18,8 @@ DENSE = resources.find("dense", "models/sensors", ".toml")
 
 
 def table(**changes):
-    """The dense sensor's table with `section__key=value` changed, or removed where the value is
-    None."""
+    """Return the dense sensor's table with `section__key=value` changed, or removed where the value
+    is None."""
     result = tomllib.loads(DENSE.read_text())
     for name, value in changes.items():
         section, _, key = name.partition("__")
@@ -153,7 +153,7 @@ def test_more_markers_than_sensing_has_memory_for_are_refused():
 
 
 def near_camera(distance_mm, **camera):
-    """The table of `dense` with a thin chamber and its camera at another distance."""
+    """Return the table of `dense` with a thin chamber and its camera at another distance."""
     table = tomllib.loads(DENSE.read_text())
     table["chamber"]["depth_mm"] = 8.0
     table["glass"]["distance_mm"] = 5.0

@@ -22,7 +22,7 @@ PANE = {
 
 
 def table(**changes):
-    """The shipped sensor's file with other fiducials."""
+    """Return the shipped sensor's file with other fiducials."""
     found = tomllib.loads(
         resources.find("dense_fiducials", "models/sensors", ".toml").read_text("utf-8")
     )

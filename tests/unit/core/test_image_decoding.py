@@ -67,7 +67,7 @@ def test_every_format_is_read_and_its_size_is_known_before(suffix):
 
 
 def enlarged(suffix):
-    """A small file whose header states 60 000 x 60 000 pixels."""
+    """Return a small file whose header states 60 000 x 60 000 pixels."""
     data = bytearray(cv2.imencode(suffix, np.zeros((37, 53), np.uint8))[1])
     size = 60_000
     if suffix == ".jpg":

@@ -15,7 +15,7 @@ every_model = pytest.mark.parametrize("model", MODELS)
 
 
 def points(n=500, seed=0):
-    """Points 30-60 mm away that fill a field of view of 60 degrees."""
+    """Return points 30-60 mm away that fill a field of view of 60 degrees."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.030, 0.060, n)
     return np.column_stack([rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.5, 0.5, n) * z, z])

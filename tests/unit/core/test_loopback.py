@@ -15,7 +15,7 @@ VIEWER = "https://viewer.example"
 
 @pytest.fixture(scope="module")
 def gate():
-    """A server that accepts any page, and repeats what it receives, behind a gate."""
+    """Provide a server that accepts any page, and repeats what it receives, behind a gate."""
 
     def echo(connection):
         for message in connection:

@@ -27,14 +27,15 @@ BOTH = Camera(
 
 
 def points(n=500, seed=0):
-    """Points 30-60 mm away that fill the field of view and some more."""
+    """Return points 30-60 mm away that fill more than the field of view."""
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.030, 0.060, n)
     return np.column_stack([rng.uniform(-0.6, 0.6, n) * z, rng.uniform(-0.5, 0.5, n) * z, z])
 
 
 def snell(d, normal, n_from, n_to):
-    """Vector form of Snell's law (unit directions d, one unit normal against them)."""
+    """Refract by the vector form of Snell's law (unit directions d, one unit normal against
+    them)."""
     ratio = n_from / n_to
     cos_in = -d @ normal
     cos_out = np.sqrt(1 - ratio**2 * (1 - cos_in**2))

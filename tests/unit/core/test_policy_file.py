@@ -128,7 +128,7 @@ def test_another_rig_and_an_overflow_are_named_at_the_step(tmp_path):
 
 
 def npy(shape, data=b"", dtype="<f8"):
-    """An array of numpy whose header states any shape."""
+    """Return an array of numpy whose header states any shape."""
     text = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}".encode()
     text += b" " * (63 - (10 + len(text)) % 64) + b"\n"
     return b"\x93NUMPY\x01\0" + struct.pack("<H", len(text)) + text + data

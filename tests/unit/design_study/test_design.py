@@ -179,7 +179,7 @@ def test_predictions_are_printed_with_two_digits(value):
 
 
 def given_camera():
-    """60 degrees, 30 mm, 640 x 480 pixels."""
+    """Provide a design with 60 degrees, 30 mm, 640 x 480 pixels."""
     design = given_hardware.with_field_of_view(load_sensor("dense"), math.radians(60))
     return given_hardware.with_focus(design, 30e-3)
 

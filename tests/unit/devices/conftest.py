@@ -7,6 +7,6 @@ from tests.emulated import servo_bench
 
 @pytest.fixture
 def bench():
-    """Two emulated servos on a bus of their own."""
+    """Provide two emulated servos on a separate bus."""
     with servo_bench() as bench:
         yield bench

@@ -23,7 +23,7 @@ MODES = {
 
 
 def kernel(modes=MODES, stepwise=False):
-    """VIDIOC_ENUM_FMT, _FRAMESIZES and _FRAMEINTERVALS of a camera with these modes."""
+    """Return VIDIOC_ENUM_FMT, _FRAMESIZES and _FRAMEINTERVALS of a camera with these modes."""
     codes = {struct.unpack("I", name.encode())[0]: sizes for name, sizes in modes.items()}
 
     def ioctl(number, request, data):

@@ -25,7 +25,7 @@ TICK = 2 * math.pi / 4096
 
 
 def names_written(bench, servo=1):
-    """Names of the registers written to one servo, in order."""
+    """Return names of the registers written to one servo, in order."""
     table = {register.address: name for name, register in load_table("xl330_m288").items()}
     return [
         table[int.from_bytes(p.parameters[:2], "little")]

@@ -81,7 +81,7 @@ def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
 
 
 def lose_a_reply(bench, servo):
-    """The next reply of that servo does not arrive; a list that has an entry when it was due."""
+    """Drop the next reply of that servo; return a list that has an entry when the reply was due."""
     reply = bench.bus._status
     dropped = []
 

@@ -128,7 +128,7 @@ def test_clear_resets_full_turns_of_a_shaft_at_rest(xl):
 
 
 def tripped(mode=5, **how):
-    """A servo on its way, whose host has died: from 1 rad to 2 rad, or with 0.1 A or 1 rad/s."""
+    """Return a moving servo whose host was lost: from 1 rad to 2 rad, or with 0.1 A or 1 rad/s."""
     servo = EmulatedServo(1, "XL330-M288", angle=1.0, **how)
     goal = {0: (102, 2, 100), 1: (104, 4, 42), 16: (100, 2, 200)}.get(mode, (116, 4, 1304))
     for address, size, value in ((11, 1, mode), (98, 1, 5), (64, 1, 1), goal):

@@ -23,7 +23,7 @@ def new():
 
 
 def ran(kind, folder, task, outcomes, **changes):
-    """A folder of results as an evaluation leaves it; `outcomes` by controller, a word an
+    """Write a folder of results as an evaluation does; `outcomes` by controller, one word per
     episode."""
     scenario = {
         key: value

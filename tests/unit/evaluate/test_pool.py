@@ -29,7 +29,7 @@ COMMON = dict(scenario=Scenario(effects="-mesh,-pipeline"), count=1, objects=["v
 
 
 def episode(controller, item, seed, **fields):
-    """The first of an evaluation."""
+    """Return the first episode of an evaluation."""
     return Episode(0, Scenario(object=item, controller=controller, seed=seed, **fields))
 
 

@@ -30,7 +30,7 @@ def line(episode, controller, outcome="held"):
 
 
 def write_part(folder, part, parts, **changed):
-    """The `part`-th of `parts` shards; `changed` are the outcomes of some of its episodes."""
+    """Write the `part`-th of `parts` shards; `changed` are the outcomes of some of its episodes."""
     evaluation = {"options": OPTIONS | {"shard": [part, parts]}, "versions": {}, "files": {}}
     kept = store.Store(folder, evaluation, resume=False)
     for episode in range(part - 1, 4, parts):

@@ -16,8 +16,8 @@ FAILS_IN_FULL = {3, 8, 14}
 
 
 def pretended(episode):
-    """A line without a grasp: number 3 and 8 fail at both levels, 11 when cheap alone, 14 in full
-    alone."""
+    """Return a line without a grasp: episodes 3 and 8 fail at both levels, 11 only at the cheap
+    level, 14 only in full."""
     cheap = "-pipeline" in episode.scenario.effects
     fails = episode.index in (FAILS_WHEN_CHEAP if cheap else FAILS_IN_FULL)
     return {

@@ -20,7 +20,7 @@ RADIUS = 0.012
 
 
 def patch(way, compliance=math.nan):
-    """On a ball of 12 mm."""
+    """Return a patch on a ball of 12 mm."""
     way = np.asarray(way, float) / np.linalg.norm(way)
     near = way + np.random.default_rng(7).uniform(-0.15, 0.15, (12, 3))
     points = RADIUS * near / np.linalg.norm(near, axis=1)[:, None]

@@ -64,7 +64,7 @@ def test_a_failed_export_leaves_no_file(pair, tmp_path, capsys, monkeypatch):
 
 
 def read_mcap(path):
-    """Topic to (time s, message) by mcap's reader; protobuf by the schema in the file."""
+    """Return topic to (time s, message) by mcap's reader; protobuf by the schema in the file."""
     found = {}
     types = {}
     with path.open("rb") as file:

@@ -24,7 +24,7 @@ needs_rerun = pytest.mark.skipif(
 
 
 def read_rrd(path):
-    """Entity to rows of (component, value), by Rerun's own reader."""
+    """Return entity to rows of (component, value), by Rerun's reader."""
     from rerun.chunk import RrdReader
 
     found = {}

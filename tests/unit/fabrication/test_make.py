@@ -42,7 +42,7 @@ def layout():
 
 
 def bulged(design, height):
-    """A smooth dome or dent, as a stand-in for the simulator."""
+    """Return a smooth dome or dent in place of the simulator."""
     x = design.markers.p_SM[:, 0] / (design.frame.length / 2)
     y = design.markers.p_SM[:, 1] / (design.frame.width / 2)
     p = np.column_stack([design.markers.p_SM[:, :2], height * (1 - x**2) * (1 - y**2)])
@@ -53,7 +53,7 @@ STATES = [bulged(DENSE, h) for h in (0.0, 0.003, -0.004)]
 
 
 def with_field(design, field, value):
-    """`design` with the field of its file, in the file's unit."""
+    """Return `design` with the field of its file, in the file's unit."""
     section, key = field.split(".")
     kind = config_fields.entries(SensorDesign)[section].kind
     attribute, entry = next(
@@ -67,7 +67,7 @@ def with_field(design, field, value):
 
 
 def circles(svg, group="markers"):
-    """Centres (n, 2) and radii (n,) of the circles of a group, in the SVG's user units."""
+    """Return centres (n, 2) and radii (n,) of the circles of a group, in the SVG's user units."""
     found = ET.fromstring(svg).findall(f"svg:g[@id='{group}']/svg:circle", SVG)
     numbers = np.array([[float(c.get(key)) for key in ("cx", "cy", "r")] for c in found])
     return numbers[:, :2], numbers[:, 2]
@@ -113,7 +113,7 @@ def test_an_svg_is_at_one_to_one(layout):
 
 
 def dxf_entities(text):
-    """Entities of a DXF as (name, {code: value}), and the header's version."""
+    """Return entities of a DXF as (name, {code: value}), and the header's version."""
     lines = text.splitlines()
     pairs = list(zip(map(int, lines[::2]), lines[1::2], strict=True))
     assert pairs[-1] == (0, "EOF")

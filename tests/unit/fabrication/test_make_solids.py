@@ -78,8 +78,8 @@ def test_stl_files_are_closed_and_have_their_volume(parts, solids):
 
 
 def step_shell(text):
-    """Edges as (number, forward) by loop, loops by face, and the ends of each edge, of a STEP
-    file."""
+    """Return edges as (number, forward) by loop, loops by face, and the ends of each edge, of a
+    STEP file."""
     lines = dict(re.findall(r"#(\d+)=(.*);", text))
     numbers = {n: re.findall(r"#(\d+)", line) for n, line in lines.items()}
 
@@ -198,5 +198,5 @@ def test_a_frame_of_another_outline_is_a_solid_around_it(design):
 
 
 def cover_of(membrane):
-    """mm^2 of the rubber in front of the rim and the opening."""
+    """Return the area of the rubber in front of the rim and the opening, mm^2."""
     return membrane.layers[-1].regions[0].area

@@ -96,7 +96,7 @@ def test_a_gas_at_constant_pressure_determines_no_parameter():
 
 
 def slow_error(rng, count, sd, correlation):
-    """First-order autoregressive error."""
+    """Return a first-order autoregressive error."""
     error = np.empty(count)
     error[:15] = 0.0  # the model starts at the pressure measured here
     for i in range(15, count):

@@ -20,7 +20,7 @@ NOTHING = Series(np.empty(0), np.empty(0), np.empty(0))
 
 
 def evidence_of(true, pressure, mesh=MESH):
-    """The rest at a pressure, as 3 um of noise leave it."""
+    """Return the rest shape at a pressure, with 3 um of noise."""
     empty = Hold(true.markers.p_SM, np.zeros((true.markers.count, 3, 3)), pressure, None)
     seen = simulate(true, Evidence("made", None, empty, (), NOTHING, ()), mesh=mesh)[0].p_SM
     noise = np.random.default_rng(round(pressure)).normal(0, 3e-6, seen.shape)
@@ -40,7 +40,7 @@ PRESSURES = (500.0, 3000.0)
 
 @pytest.fixture(scope="module")
 def two_pressures(true):
-    """Images at two pressures, and their fit."""
+    """Provide images at two pressures, and their fit."""
     evidence = [evidence_of(true, p) for p in PRESSURES]
     return evidence, fit_membrane(DESIGN, evidence, known={}, options=FitOptions(mesh=MESH))
 
@@ -101,7 +101,8 @@ def test_a_single_deep_move_into_a_closed_chamber(true):
 
 
 def loaded(true, scale, height_fraction=0.02, jitter=0.0):
-    """Indentations to 1-3 mm at 1 kPa, with all measured heights `scale` times the true ones."""
+    """Return indentations to 1-3 mm at 1 kPa, with all measured heights `scale` times the true
+    ones."""
     stage = Stage("sphere:8", (0.0, 0.0), tuple(Move(t, 1e-3 * t) for t in (1.0, 3.0)))
     count = true.markers.count
     nothing = (np.zeros((count, 3)), np.zeros((count, 3, 3)))

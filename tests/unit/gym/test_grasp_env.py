@@ -47,7 +47,7 @@ def test_the_example_of_the_page(monkeypatch, capsys):
 
 
 def roll(env, seed, actions):
-    """All that is shown from the beginning on, and the last step's values."""
+    """Return all observations, and the values of the last step."""
     shown = [env.reset(seed=seed)[0]]
     last: list[Any] = []
     info: dict[str, Any] = {}

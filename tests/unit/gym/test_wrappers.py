@@ -63,7 +63,7 @@ def test_the_smallest_and_the_largest_action_are_the_environments_own():
 
 @pytest.fixture(params=[(len(SCALE), 3), (len(SCALE), 8, 5, 3)], ids=["one layer", "three layers"])
 def saved(request, tmp_path):
-    """Random layers of a network, and the file to which they were saved."""
+    """Provide random layers of a network, and the file to which they were saved."""
     rng = np.random.default_rng(0)
     layers = [
         (rng.normal(size=(b, a)), rng.normal(size=b))

@@ -63,8 +63,7 @@ def test_a_bound_kernel_works_on_the_arrays_that_it_was_given():
 
 @pytest.fixture
 def copied(tmp_path):
-    """The package's sources elsewhere, as a checkout that was not built has them; no cache of this
-    user's."""
+    """Provide the package's sources in another folder, not built, without this user's cache."""
     shutil.copytree(
         build.FOLDER, tmp_path / "kernels", ignore=shutil.ignore_patterns(build.MADE, "__pycache__")
     )

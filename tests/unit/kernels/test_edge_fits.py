@@ -13,7 +13,8 @@ from tests.numpy_pipeline import edges as numpy_edges
 
 
 def photograph(radius):
-    """An image of 30 dots, one of them with glare, and their centers; 16 times oversampled."""
+    """Return an image of 30 dots, one of them with glare, and their centers; 16 times
+    oversampled."""
     rng = np.random.default_rng(2)
     pitch = 4 * radius
     center = np.stack(np.meshgrid(np.arange(1, 7), np.arange(1, 6)), axis=-1).reshape(-1, 2) * pitch

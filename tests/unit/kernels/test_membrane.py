@@ -17,7 +17,7 @@ ROUNDING = 1e-9  # sums in another order, some of which cancel by a few digits
 
 @pytest.fixture(scope="module")
 def rubber():
-    """A bulge with a strain everywhere, part of it compression."""
+    """Provide a bulge with a strain everywhere, part of it compression."""
     model, _, sensor = scene()
     p_SV = sensor.mesh.p_SV.copy()
     p_SV[sensor.mesh.interior] += 1e-3 * np.random.default_rng(0).standard_normal(

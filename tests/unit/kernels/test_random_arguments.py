@@ -84,7 +84,7 @@ def test_a_kernel_stays_within_its_arrays(name, seed):
 
 
 def sampled(rng):
-    """A tenth of all settings, each anywhere in its allowed range; the logarithm even."""
+    """Sample a tenth of all settings, log-uniform in their allowed range."""
     values = {}
     for stage, owner in (("", DEFAULTS), *vars(DEFAULTS).items()):
         for name, entry in entries(type(owner)).items() if dataclasses.is_dataclass(owner) else ():

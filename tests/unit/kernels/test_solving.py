@@ -22,8 +22,8 @@ from tests.numpy_pipeline.inverse import DenseInverse
 
 
 def dented(design, rng):
-    """Markers (positions, covariances, normals) on a dent somewhere, some of them wrong or
-    unknown."""
+    """Return markers (positions, covariances, normals) on a dent at a random position, some of them
+    wrong or unknown."""
     p = design.markers.p_SM.copy()
     center = rng.uniform(-6e-3, 6e-3, 2)
     deep = rng.uniform(-1e-3, 3e-3)
@@ -66,8 +66,7 @@ def test_spline_through_markers(sensor):
 
 
 def from_band(band, width):
-    """The symmetric matrix (n, n), from the three components of a spline together to component by
-    component."""
+    """Reorder the symmetric matrix (n, n) from spline-major to component-major order."""
     n = len(band)
     lower = sum(np.diag(band[: n - below, below], -below) for below in range(width + 1))
     order = np.arange(n).reshape(-1, 3).T.ravel()

@@ -22,7 +22,7 @@ def force(quasistatic, *bodies):
 
 
 def box_of_triangles():
-    """The lower face of the box that CORNERS span, as two triangles."""
+    """Return the lower face of the box spanned by CORNERS, as two triangles."""
     a, b, c, d = (corner for corner in CORNERS if corner[2] < 0)
     return np.array([[a, b, c], [b, d, c]])
 
@@ -43,7 +43,7 @@ def in_bowl(x):
 
 
 def in_rimmed_disc(x):
-    """All within 1 mm of a disc of 4 mm radius and 3 mm half height."""
+    """Return all points within 1 mm of a disc of 4 mm radius and 3 mm half height."""
     beyond = np.stack([np.hypot(x[:, 0], x[:, 1]) - 4e-3, np.abs(x[:, 2]) - 3e-3])
     return np.linalg.norm(np.maximum(beyond, 0), axis=0) <= 1e-3
 

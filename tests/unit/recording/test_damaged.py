@@ -166,7 +166,7 @@ def rewritten(source, folder, change):
 
 
 def of_kind(kind, **values):
-    """A change of all lines of a kind; None removes a key."""
+    """Return a change of all lines of a kind; None removes a key."""
 
     def change(row):
         if row["kind"] == kind:

@@ -43,7 +43,7 @@ def strip_of(cycles, view=None):
 
 
 def write(folder, cycles, summary=SUMMARY, view=None):
-    """The page, and the data that its scripts get."""
+    """Return the page and the data of its scripts."""
     path = folder / "summary.html"
     page.write_page(
         path,

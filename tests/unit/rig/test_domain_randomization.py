@@ -254,7 +254,7 @@ class FakeWorld:
         self.rig = SimpleNamespace(gripper=jaws, lift=SimpleNamespace(travel=0.1))
 
     def after_each_step_batch(self, call, due):
-        """Steps are stretches here, so short that nothing is due within one."""
+        """Store `call` for each step: each batch of steps is shorter than the time to any event."""
         assert due() > self.time - 1e-9
         self.calls.append(call)
 

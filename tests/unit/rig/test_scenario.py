@@ -97,7 +97,7 @@ def test_files_next_to_the_scenario_have_priority(tmp_path, monkeypatch):
 
 
 def rig_with(path, **sensors):
-    """The shipped simulated rig whose fingers name these sensors."""
+    """Return the shipped simulated rig whose fingers name these sensors."""
     source = resources.find("sim", "models/rigs", ".toml")
     text = source.read_text().replace('model = "', f'model = "{source.parent}/')
     for finger, sensor in sensors.items():

@@ -35,7 +35,7 @@ SCENE = {"object": "block", "sensor": "paper16", "effects": "-images"}
 
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory):
-    """An episode of `evaluate` that ends on the block: its line, its recording's folder."""
+    """Provide an episode of `evaluate` that ends on the block: its line, its recording's folder."""
     folder = tmp_path_factory.mktemp("flags")
     (folder / "closes.py").write_text(CLOSES)
     scenario = Scenario(controller=str(folder / "closes.py"), **SCENE)

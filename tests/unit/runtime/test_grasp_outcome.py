@@ -56,7 +56,8 @@ def test_a_controller_that_ends_with_the_gripper_up_has_not_set_down(touch, heig
 
 
 def aborted(*changes, touch=HELD, last=EMPTY, height=0.0):
-    """The result of a hold that the controller aborts; `changes` are of the cycle in between."""
+    """Return the result of a hold that the controller aborts; `changes` apply to the cycle in
+    between."""
     log = _Log(Observer(), None, None)
     first = cycle(HELD, Command(0.05, 4.0, 0.04, "hold"))
     second = cycle(touch, Command(0.05, 4.0, 0.04, "hold"))
@@ -117,7 +118,7 @@ def test_an_empty_gripper_has_not_set_down():
 
 
 def loaded(*down: float) -> tuple[Touch, ...]:
-    """Fingers that carry so many newtons along their -y axes with 1 N of grip."""
+    """Return fingers with these loads, N, along their -y axes, and 1 N of grip."""
     wrenches = [np.array([0.0, -force, -1.0, 0.0, 0.0, 0.0]) for force in down]
     tractions = [SimpleNamespace(wrench=wrench, wrench_cov=np.eye(6)) for wrench in wrenches]
     return tuple(Touch(0.0, 0.0, 1.0, 0.01, True, traction=traction) for traction in tractions)  # type: ignore

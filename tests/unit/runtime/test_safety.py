@@ -274,7 +274,7 @@ def test_a_controller_that_does_not_return_is_stopped_like_a_failed_controller()
 
 
 def retreat(opening, touch=OK, last=LAST, time=5.0):
-    """The supervisor and the commands of a retreat on the table; `opening` m is measured after
+    """Return supervisor and commands of a retreat on the table; `opening`, m, is measured after
     each command."""
     supervisor = Supervisor(PERIOD)
     supervisor.make_safe("a fault", 0.0)

@@ -9,7 +9,7 @@ from mjtactile.runtime.slowness_monitor import SlownessMonitor
 
 
 def messages(factor, *, physics=0.0, rendering=0.0, perception=0.0, shapes=False, **sizes):
-    """Messages of a run of 20 s; the parts are fractions of the wall time."""
+    """Return messages of a run of 20 s; the parts are fractions of the wall time."""
     clock = SimpleNamespace(now=0.0)
     found = []
     default = {"contacts": 5, "geoms": 1, "elements": 0, "vertices": 286} | sizes

@@ -27,8 +27,8 @@ SURFACES = {
 
 
 def poses(height, seed, sd=4e-4):
-    """100 poses 0.22 m away with independent errors of depth of relative sd `sd`, and the true
-    centres."""
+    """Return 100 poses 0.22 m away with independent errors of depth of relative sd `sd`, and the
+    true centres."""
     truth = PITCH * np.stack([X, Y, height + 37.5], axis=1)
     p = truth * (1 + sd * np.random.default_rng(seed).normal(size=100))[:, None]
     ray = truth / truth[:, 2:]

@@ -17,7 +17,7 @@ START = GRID * PITCH + [50.0, 54.0]
 
 
 def image_of(places, *, bright=False, noise=0):
-    """Dots on uneven ground, drawn finely and averaged: edges as soft as a pixel."""
+    """Render dots on an uneven background, supersampled: edges are one pixel wide."""
     fine = np.zeros((240 * ZOOM, 320 * ZOOM), np.uint8)
     for u, v in (np.asarray(places) + 0.5) * ZOOM - 0.5:
         center = (round(u * 16), round(v * 16))

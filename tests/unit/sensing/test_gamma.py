@@ -19,8 +19,8 @@ CIRCLES = marker_scenes.random_circles(CAMERA, np.random.default_rng(1), radius=
 
 @functools.cache
 def encoded(gamma, blur_px=0.8):
-    """The circles through a camera with that gamma, from 40 to 180 grey levels: light is blurred,
-    then encoded."""
+    """Return the circles through a camera with that gamma, from 40 to 180 grey levels: light is
+    blurred, then encoded."""
     dark = (40 / 255) ** gamma
     bright = (180 / 255) ** gamma
     light = marker_scenes.exact_image(
@@ -31,7 +31,7 @@ def encoded(gamma, blur_px=0.8):
 
 
 def depth_errors(found):
-    """mm, and in units of the sd; of a circle's two poses that with the closer depth."""
+    """Return depth errors, mm and in units of the sd, of the closer of a circle's two poses."""
     truth = np.array([c.p_C for c in CIRCLES])
     distance = np.linalg.norm(found.poses.uv_px - optics.project(CAMERA, truth)[:, None], axis=2)
     which = distance.argmin(axis=1)

@@ -286,7 +286,7 @@ def test_an_outlier_fiducial_has_no_weight():
 
 
 def replace_ids(seen, count):
-    """Only the first few."""
+    """Return the first few images."""
     return FiducialDetections(*(value[:count] for value in vars(seen).values()))
 
 

@@ -14,8 +14,8 @@ SENSORS = ["paper16", "dense"]
 
 
 def seen(p_SM, rng, missing=0.0, spurious=0, noise=20e-6):
-    """Some of the markers in random order, with noise, and circles where no marker is; and the true
-    ids (-1)."""
+    """Return some of the markers in random order, with noise, and false circles; and the true ids
+    (-1: false)."""
     ids = np.flatnonzero(rng.random(len(p_SM)) >= missing)
     low = p_SM.min(axis=0)
     high = p_SM.max(axis=0)

@@ -27,8 +27,8 @@ def noisy(exact, sd=2.0, seed=0):
 
 
 def errors(image, circles, camera=CAMERA, polarity="dark"):
-    """Distance (n,) m of each circle from the nearest trusted solution (inf if none is near), and
-    poses."""
+    """Return distance (n,) m of each circle from the nearest trusted solution (inf if none is
+    near), and poses."""
     poses = estimate_poses(markers.detect(image, camera, polarity=polarity), camera, R)
     _, nearer, found = marker_accuracy.match(poses, circles)
     truth = np.array([c.p_C for c in circles])

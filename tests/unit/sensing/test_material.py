@@ -68,7 +68,8 @@ def closing(time):
 
 
 def standard_linear_solid(stiffness, arm=0.0, tau=1.0):
-    """F = K d + arm (d - q), q' = (d - q) / tau, in series with the membranes; arm 0: a spring."""
+    """Return F = K d + arm (d - q), q' = (d - q) / tau, in series with the membranes; arm 0: a
+    spring."""
 
     def law():
         q = 0.0

@@ -33,7 +33,7 @@ def random_poses(rng, count, tilt_deg=(0, 60)):
 
 
 def rims(p, n, count=64, radius=R):
-    """Points (N, count, 3) around circles."""
+    """Return points (N, count, 3) around circles."""
     e1 = np.cross(n, [0.0, 1.0, 0.0])
     e1 /= np.linalg.norm(e1, axis=1)[:, None]
     t = 2 * np.pi * np.arange(count)[:, None] / count
@@ -41,8 +41,8 @@ def rims(p, n, count=64, radius=R):
 
 
 def exact_cones(p, n, radius=R):
-    """Q with x^T Q x = |x (n.p)/(n.x) - p|^2 (n.x)^2 - r^2 (n.x)^2: the cone over the circle,
-    written out."""
+    """Return Q with x^T Q x = |x (n.p)/(n.x) - p|^2 (n.x)^2 - r^2 (n.x)^2: the cone over the
+    circle."""
     d = np.einsum("ni,ni->n", n, p)[:, None, None]
     nn, np_, pn = (np.einsum("ni,nj->nij", x, y) for x, y in ((n, n), (n, p), (p, n)))
     return (
@@ -118,8 +118,8 @@ def test_through_lens_and_glass(camera, bound):
 
 
 def geometric_ellipses(uv):
-    """Least-squares ellipses (distance along normals) through dense boundary points (N, K, 2), by
-    Gauss-Newton."""
+    """Return least-squares ellipses (distance along normals) through dense boundary points (N, K,
+    2), by Gauss-Newton."""
     center = uv.mean(axis=1)
     d = uv - center[:, None]
     moments = np.stack(

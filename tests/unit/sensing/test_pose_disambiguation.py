@@ -16,7 +16,8 @@ PITCH = 0.009
 
 
 def membrane(slope, bend, rows=5, columns=6):
-    """Circles on z = 0.11 m + slope . (x, y) + bend x^2/2, with the normals of the surface."""
+    """Return circles on z = 0.11 m + slope . (x, y) + bend x^2/2, with the normals of the
+    surface."""
     x, y = (
         PITCH * c.ravel()
         for c in np.meshgrid(

@@ -17,7 +17,7 @@ ANGLES = np.radians([0, 25, 50, 130, 155, 180, 205, 230, 310, 335])  # in the im
 
 
 def write(folder, radius_mm, quiet_zone_mm=0.45):
-    """The shipped round sensor, its rim wider, with fiducials on a circle."""
+    """Return the shipped round sensor, its rim wider, with fiducials on a circle."""
     text = resources.find("round30", "models/sensors", ".toml").read_text("utf-8")
     around = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
     places = (radius_mm * around).round(3).tolist()

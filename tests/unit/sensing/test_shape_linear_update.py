@@ -33,7 +33,7 @@ def guess(forward):
 
 
 def image_of(forward, name, theta):
-    """The solution on a shape, and the image of its markers."""
+    """Return the solution on a shape, and the image of its markers."""
     rows = FAMILIES[name].rows(theta[None], guess(forward))
     solution = forward.solve(rows)
     heights = forward.heights(solution.x[None])[0]
@@ -42,7 +42,7 @@ def image_of(forward, name, theta):
 
 
 def linearized(forward, name, theta, noise=0.0):
-    """The linear model at the true shape, which the prior favors little."""
+    """Return the linear model at the true shape, with a weak prior."""
     solution, data = image_of(forward, name, theta)
     rough = np.random.default_rng(1).normal(0, 1, len(data.heights))
     rough *= noise / np.sqrt(np.mean(rough**2))

@@ -44,7 +44,7 @@ def start():
 
 @pytest.fixture(scope="module")
 def presses():
-    """Presses that no network was trained on."""
+    """Return presses outside the training data."""
     forward = ForwardModel(load_sensor("dense"), None, SETTINGS.spacing, 1010.0)
     rng = np.random.default_rng(7001)
     return random_presses(forward, reference_guess(forward), 256, rng, SETTINGS)

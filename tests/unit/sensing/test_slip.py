@@ -99,7 +99,7 @@ def states(reported):
 
 
 def ramp(before, rising, after=0):
-    """0, then a rise to 1, then 1."""
+    """Return 0, then a rise to 1, then 1."""
     return np.r_[np.zeros(before), np.linspace(0, 1, rising + 1)[1:], np.ones(after)]
 
 

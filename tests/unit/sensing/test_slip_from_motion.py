@@ -30,7 +30,8 @@ def motion(velocity=(0.0, 0.0), sd=1e-3, spinning=0.0, spinning_sd=0.05):
 
 
 def history(ratio=(0.5, 0.0, 0.0), dragged=0.0):
-    """Two images 0.1 s apart, the rubber dragged by so many m along x meanwhile."""
+    """Return two images 0.1 s apart, with the rubber dragged by a distance, m, along x between
+    them."""
     samples = tuple(
         SlipSample(0.1 * k, np.zeros(2), np.array([k * dragged, 0.0, 0.0]), np.array(ratio))
         for k in range(2)

@@ -72,7 +72,7 @@ def pressed():
 
 
 def exact(shape):
-    """Area and volume of `shape` by Gauss-Legendre quadrature with 300 x 300 nodes."""
+    """Return area and volume of `shape` by Gauss-Legendre quadrature with 300 x 300 nodes."""
     node, weight = np.polynomial.legendre.leggauss(300)
     x, y = np.meshgrid(node * L / 2, node * W / 2)
     w = np.outer(weight, weight) * L * W / 4
@@ -82,8 +82,8 @@ def exact(shape):
 
 
 def measured(design, shape, seed=0, noise=NOISE):
-    """Markers on `shape` with noisy heights and normals whose error is that of an ellipse's axis
-    ratio."""
+    """Return markers on `shape` with noisy heights and normals whose error is that of an ellipse's
+    axis ratio."""
     rng = np.random.default_rng(seed)
     p = design.markers.p_SM.copy()
     p[:, 2] = shape(p[:, 0], p[:, 1])

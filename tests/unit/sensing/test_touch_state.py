@@ -333,7 +333,7 @@ def parabola(estimator, force, place, radius=5e-3):
 
 
 def stiff(young, name="dense"):
-    """A legal sensor whose membrane has another modulus, MPa."""
+    """Return a legal sensor whose membrane has another modulus, MPa."""
     design = load_sensor(name)
     return replace(design, membrane=replace(design.membrane, young=1e6 * young))
 

@@ -26,7 +26,8 @@ def flat(design):
 
 
 def outlines(design):
-    """Areas (F,) px^2 and centroids (F, 2) px of the projected circles, by the shoelace formula."""
+    """Return areas (F,) px^2 and centroids (F, 2) px of the projected circles, by the shoelace
+    formula."""
     camera = optics.Camera.from_design(design.camera, design.glass)
     rim = np.column_stack([np.cos(AROUND), np.sin(AROUND), 0 * AROUND])
     p = design.fiducials.p_SF(design)[:, None] + design.fiducials.radius * rim

@@ -21,7 +21,7 @@ HULL = 12 * 12 - 8 * 8 / 2
 
 
 def prism():
-    """Triangles (m, 3, 3) mm of the L, outside first."""
+    """Return triangles (m, 3, 3) mm of the L, outside first."""
     low, high = (np.c_[CORNERS, np.full(6, z)] for z in (0.0, HEIGHT))
     sides = [
         t

@@ -33,8 +33,8 @@ def bent_lens(name="paper16"):
 
 
 def tilted_scene(design, seed=3):
-    """Markers moved by up to 1 mm along and -6..+2 mm across the membrane, tilted by up to 45
-    degrees."""
+    """Return markers moved by up to 1 mm along and -6..+2 mm across the membrane, tilted by up to
+    45 degrees."""
     rng = np.random.default_rng(seed)
     p = design.markers.p_SM
     p = p + rng.uniform([-1e-3, -1e-3, -6e-3], [1e-3, 1e-3, 2e-3], p.shape)
@@ -52,7 +52,7 @@ def refracted(d, ratio):
 
 
 def cast(design, p_SM, n_S, corner, size, blur):
-    """Grey levels of the `size` (w, h) pixels from `corner` (u, v), by brute force."""
+    """Return grey levels of the `size` (w, h) pixels from `corner` (u, v), by brute force."""
     margin = int(np.ceil(5 * blur)) + 1
     u = corner[0] - margin - 0.5 + (np.arange((size[0] + 2 * margin) * RAYS) + 0.5) / RAYS
     v = corner[1] - margin - 0.5 + (np.arange((size[1] + 2 * margin) * RAYS) + 0.5) / RAYS

@@ -93,7 +93,7 @@ def test_penumbra_of_a_straight_edge():
 
 
 def dents(x, y):
-    """A bulge with three dents, m; curvature up to 1.4 / mm at their bottoms."""
+    """Return a bulge with three dents, m; curvature up to 1.4 / mm at their bottoms."""
     bulge = 2e-3 * np.cos(np.pi * x / 40e-3) * np.cos(np.pi * y / 30e-3)
     return bulge - sum(
         depth * np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * width**2))

@@ -25,7 +25,7 @@ FLAT = DESIGN.markers.p_SM, np.tile([0.0, 0.0, 1.0], (DESIGN.markers.count, 1))
 
 
 def bulged():
-    """Markers of a bulge 5 mm high, with the normals of its surface."""
+    """Return markers of a bulge 5 mm high, with the normals of its surface."""
     x, y, _ = DESIGN.markers.p_SM.T
     u = np.pi * x / 0.04
     v = np.pi * y / 0.03

@@ -113,7 +113,7 @@ def test_a_change_without_a_known_cause_is_not_attributed():
 
 
 def staged(folder, as_built, seconds=1.6):
-    """A recording of `as_built` that calls itself "dense"."""
+    """Record `as_built` under the sensor name "dense"."""
     with Recorder(folder / "recording", {"object": None, "sensor": "dense", "seed": SEED}) as own:
         record_stage(as_built, PRESS, own, seconds=seconds, seed=SEED)
         own.close(outcome="recorded")

@@ -18,7 +18,7 @@ MODEL = b"a model that is nobody else's business"
 
 @pytest.fixture(scope="module")
 def port(tmp_path_factory):
-    """MuJoCo's server, as Studio starts it, without a viewer behind it."""
+    """Provide MuJoCo's server, started as by Studio, without a viewer."""
     public = web_server.bind_public_socket(local_server.LOOPBACK, _free_port())
     pages = tmp_path_factory.mktemp("pages")
     (pages / "index.html").write_text("the page")
@@ -44,7 +44,7 @@ def _listens(port):
 
 
 def get(port, path, **headers):
-    """(status, headers, body) of a GET; `{port}` in a header is the server's."""
+    """Return (status, headers, body) of a GET; `{port}` in a header is replaced by the server's."""
     sent = {name.replace("_", "-"): value.format(port=port) for name, value in headers.items()}
     with contextlib.closing(http.client.HTTPConnection("127.0.0.1", port, timeout=10)) as client:
         client.request("GET", path, headers=sent)
