@@ -91,7 +91,7 @@ def _measure(name: Effect, design: SensorDesign) -> dict[str, float]:
     with_it, without = in_turns([_held(design, on).step, _held(design, off).step], 20)
     pressed = [_press(design, effects) for effects in (on, off)]
     moved = np.linalg.norm(pressed[0][1] - pressed[1][1], axis=1)
-    if name == Effect.SERVO_DYNAMICS:  # a load without jaws has nothing to compare
+    if name == Effect.SERVO_DYNAMICS:  # a load without jaws has no comparison
         moved = moved * np.nan
         pressed = [(np.nan, *pressed[0][1:])] * 2
     return {

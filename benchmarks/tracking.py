@@ -196,7 +196,7 @@ def _dent(
 def _membrane(flat: Array, dents: list[tuple[Array, float, float]]) -> tuple[Array, Array]:
     """Return positions and unit normals (M, 3) of markers on a bulge with dents.
 
-    The membrane slides a little with the dents.
+    The membrane slides slightly with the dents.
     """
     x, y = flat[:, :2].T / np.abs(flat[:, :2]).max(axis=0)[:, None] / 1.3
     p = flat.copy()

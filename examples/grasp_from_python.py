@@ -20,7 +20,7 @@ def on_cycle(cycle):
 
 
 with mjtactile.open_session("sim", design, object_name="strawberry", seed=3) as session:
-    # each sensor measures itself, flat and inflated; nothing may touch it
+    # references of each sensor, flat and inflated; no contact is allowed
     session.take_references()
     last = session.run(controller, time_limit=60, on_cycle=on_cycle)
 

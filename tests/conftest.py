@@ -26,8 +26,8 @@ for number, handler in {
     if signal.getsignal(number) is signal.SIG_IGN:
         signal.signal(number, handler)
 
-# Nearly all objects created during collection stay alive: garbage collection would take a fifth of
-# its time. `pytest_collection_finish` turns it on again.
+# Nearly all objects created during collection remain in use: garbage collection would take a fifth
+# of its time. `pytest_collection_finish` turns it on again.
 gc.disable()
 
 pytest_plugins = ["tests.stolen", "pytester"]

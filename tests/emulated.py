@@ -1,5 +1,5 @@
-"""Emulated servos and valves inside the test's own process, for tests of the drivers. Nothing here
-needs MuJoCo.
+"""Emulated servos and valves inside the test's own process, for tests of the drivers. MuJoCo is not
+needed.
 
 Time-outs are generous (0.2 s where a real bus needs 8 ms) since tests share their processors; none
 is asserted.

@@ -32,7 +32,7 @@ _HURRIED = (
     (interactive, "_REST_TIME", 0.3),
     (interactive, "_VALVE_STAGES", (1.0, 1.0, 0.5)),
 )
-"""Waiting times of commands that are shortened: emulated jaws have nothing to settle."""
+"""Waiting times of commands that are shortened: emulated jaws settle at once."""
 
 
 def run(

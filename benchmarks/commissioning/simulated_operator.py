@@ -69,7 +69,7 @@ class Person:
 
 
 def photograph_board(folder: Path, camera: CameraDesign) -> None:
-    """Write images of the board, tilted and all over the view.
+    """Write images of the board, tilted and distributed over the view.
 
     They use OpenCV's model of that camera, without membrane and glass.
     """

@@ -102,7 +102,7 @@ def joined(grasps: Sequence[Rows]) -> Rows:
 
 
 def fit(rows: Rows) -> SensingErrorModel:
-    """Fit the error model of the chain that produced these rows."""
+    """Fit the error model of the pipeline that produced these rows."""
     known = np.asarray(rows["status"] == "ok")
     load = np.maximum(-rows["wrench"][:, 2], 0.0)
     fraction = _shares(load)
@@ -200,8 +200,8 @@ def _shear_gains(true: Array, error: Array, rows: Rows) -> tuple[Array, float]:
     grasps.
 
     It lasts for the whole grasp. Both values are medians, since an edge may cancel the error for a
-    while. The median is not due to the chain alone: the friction of a quasi-static membrane agrees
-    with that of a mesh within 4 to 9 % (X7).
+    while. The median is not due to the pipeline alone: the friction of a quasi-static membrane
+    agrees with that of a mesh within 4 to 9 % (X7).
     """
     drag = np.linalg.norm(true[:, :2], axis=1)
     along = (error[:, :2] * true[:, :2]).sum(axis=1) / np.maximum(drag, 1e-9) ** 2

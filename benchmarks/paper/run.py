@@ -134,7 +134,7 @@ def fig5b(notify: Notify, quick: bool = False) -> dict[str, Any]:
     own = 1e-3 * np.array(sponge["own_deformation_mm"])
     force = np.array(sponge["force_N"])
     known = np.isfinite(own)  # no contact is detected at the lightest loads
-    columns = np.column_stack([own, own**2])[known]  # undeformed, it pushes nothing
+    columns = np.column_stack([own, own**2])[known]  # undeformed, it has no force
     stiffness, stiffening = np.linalg.lstsq(columns, force[known], rcond=None)[0]
     curves["sponge_law"] = {
         "stiffness_N_m": float(stiffness),

@@ -1,4 +1,4 @@
-"""Chain from image to surface on the dense sensor: its cost, and surface errors under a ball.
+"""Pipeline from image to surface on the dense sensor: its cost, and surface errors under a ball.
 
 The shape is computed here by projected over-relaxation of a membrane of uniform tension, under
 pressure and over a rigid ball. `marker_scenes` renders the images. Neither shares code with the

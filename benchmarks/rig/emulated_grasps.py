@@ -31,7 +31,7 @@ GRASPS = 20
 QUICK = 2
 SENSOR = "dense"
 _TIME_LIMIT = 60.0  # time limit of a grasp, s
-_COMES_ALONG = 0.9  # minimum fraction of the lift height; an object rolls a little when lifted
+_COMES_ALONG = 0.9  # minimum fraction of the lift height; an object rolls slightly when lifted
 _STANDS = 3e-3  # maximum height difference after it is set down, m
 
 

@@ -16,8 +16,8 @@ _SHEAR_MAX = 1.0  # maximum shear of the membrane, N: a larger one wrinkles it
 class LoadProfile:
     """Type of load on a held object.
 
-    `load` names the quantity that grows: a "pull", a "torque", a "shake" of the hand, a "drag" past
-    an anchored object, the "grip" that opens under a pull, "one" moving finger, "roll" (both
+    `load` names the quantity that grows: a "pull", a "torque", a "shake" of the gripper, a "drag"
+    past an anchored object, the "grip" that opens under a pull, "one" moving finger, "roll" (both
     fingers, in opposite directions), "squeeze" or "tap" (none). `fraction`: range of its peak,
     relative to the friction limit (for moved parts the displacement, mm). `rise` is the time to the
     peak, s (for moved parts the speed, mm/s). `stays` is true if the load stays at its peak, else

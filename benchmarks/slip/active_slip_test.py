@@ -18,7 +18,7 @@ from benchmarks.slip.evaluate_case import Sample
 from mjtactile.core.types import Touch
 from mjtactile.grasp_estimation import SlipTestResult, evaluate_slip_test
 
-WINDOW = 0.3  # window, s: a little more than one period
+WINDOW = 0.3  # window, s: slightly more than one period
 IN_TIME = 0.4  # time limit of a detection with the test, s
 STAYS = 0.7  # relative shear response to the grip: no slip if smaller by two sd
 _ARM = 3e-3  # lever arm in a contact, m, that converts a torque about its normal to a force

@@ -1,7 +1,7 @@
 """Operating curve of slip detection: slips in time against false alarms, over the thresholds.
 
 A scale of 2 requires twice the evidence, and a more uniform shear. Each image is classified once at
-each scale, with a history of its own. Scale 1 is the detector of the pipeline.
+each scale, with a separate history. Scale 1 is the detector of the pipeline.
 """
 
 from __future__ import annotations

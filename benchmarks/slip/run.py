@@ -125,7 +125,7 @@ def case_rows(seed: int, test: bool = False, rate: float = RATES[0]) -> list[Row
     """Return rows of both fingers of one case.
 
     A failed simulation gives one row without a finger. With `test` the result of the test counts,
-    not that of the chain.
+    not that of the pipeline.
     """
     case = sample_slip_case(seed)
     design, sensing_pipeline, rest = _sensor(rate)

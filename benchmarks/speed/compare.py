@@ -68,7 +68,7 @@ def _environment(home: Path) -> dict[str, str]:
 
 def _probe(home: Path, rate: float, kind: str) -> dict[str, Any]:
     command = [sys.executable, str(Path(probe.__file__).resolve()), str(rate), kind]
-    with tempfile.TemporaryDirectory() as folder:  # nothing of this folder on Python's path
+    with tempfile.TemporaryDirectory() as folder:  # without this folder on Python's path
         done = subprocess.run(
             command, capture_output=True, text=True, check=False, env=_environment(home), cwd=folder
         )

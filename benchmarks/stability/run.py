@@ -260,7 +260,7 @@ def _pinch(case: Case, design: SensorDesign) -> tuple[World, float | None, bool]
 
 
 def _rest(world: World, limit: float = 2.5, speed: float = 2e-3) -> bool:
-    """Step until nothing moves faster than `speed` for 0.1 s; a free ball may still creep."""
+    """Step until all speeds are below `speed` for 0.1 s; a free ball may still creep."""
     still = 0.0
     while world.time < limit + 0.3 and still < 0.1:
         world.step()

@@ -62,8 +62,8 @@ class Watched(SessionBridge):
 def studio() -> dict[str, Any]:
     """Run with Studio.
 
-    Return its speed, its share of the session's thread, and the times when each cycle's images were
-    ready.
+    Return its speed, its fraction of the session's thread, and the times when each cycle's images
+    were ready.
     """
     bridge = Watched()
     upload = panel.Panel._upload
@@ -87,7 +87,7 @@ def studio() -> dict[str, Any]:
 
 def _start(bridge: Watched) -> None:
     """Start the run when the page is open."""
-    while bridge.frame_requests < 3 * _FRAMES:  # three windows ask in each frame
+    while bridge.frame_requests < 3 * _FRAMES:  # three windows query in each frame
         time.sleep(0.05)
     bridge.paused = False
 

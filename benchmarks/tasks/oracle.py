@@ -29,7 +29,7 @@ from mjtactile.sim import ground_truth
 MARGIN = 1.25  # ratio of grip to required force: covers the control error of the jaws
 AHEAD = 0.5  # prediction time, s: reaction time of the jaws
 PULL_ESTIMATE = (
-    # pull of a person who takes the object, N: a weaker grip loses it before the pull is detected
+    # pull of a person in a handover, N: a weaker grip loses the object before the pull is detected
     0.5
 )
 _MOMENTS = 26
@@ -93,7 +93,7 @@ class Oracle(Observer):
     def _plain(self, time: float, now: float) -> float:
         """Return the required force on each finger, N, for a grip at the center of mass.
 
-        It holds at `time`, s after the hand was up, as predicted at `now`, s.
+        It holds at `time`, s after the lift, as predicted at `now`, s.
         """
         scorer = self._scorer
         sampled = self._sampled

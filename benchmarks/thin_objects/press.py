@@ -114,7 +114,7 @@ def press(
 
     Raises:
         InputError: The scene was refused.
-        SimulationError: The indenter went through the membrane.
+        SimulationError: The indenter passed through the membrane.
     """
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec, timestep)

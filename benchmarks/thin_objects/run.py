@@ -52,8 +52,8 @@ def _compared(
 ) -> dict[str, Any]:
     """Return the forces, N, at each speed, the reference force, and the stated error.
 
-    None means that the indenter went through, with the reason in `stopped`. A refused scene ends
-    the benchmark: none should be refused.
+    None means that the indenter passed the membrane, with the reason in `stopped`. A refused scene
+    ends the benchmark: none should be refused.
     """
     forces: list[float | None] = []
     stopped: list[str] = []

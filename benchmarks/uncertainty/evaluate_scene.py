@@ -169,7 +169,7 @@ def _tap(scene: Scene, world: PressWorld) -> Iterator[float]:
 
 
 def _beat(scene: Scene, world: PressWorld) -> None:
-    """Oscillate between a little above first touch and the scene's depth."""
+    """Oscillate between slightly above first touch and the scene's depth."""
     top = -0.3e-3
     start = world.time
     world.drive(top, 0.0, _FAST)

@@ -154,7 +154,7 @@ class Fiducials:
         half = np.array([design.frame.length, design.frame.width]) / 2
         extent = self.radius + self.ground
         xy = np.abs(self.places)
-        # at the opening, as the camera sees it past them
+        # at the opening, along the camera's line of sight past them
         depth = design.camera.distance - design.apparent_glass_thickness
         here = depth + self.p_SF(design)[:, 2]
         grows = np.ones(len(xy)) if self.surface == "rim" else depth / here

@@ -151,7 +151,7 @@ class LoopbackGate:
 
 
 async def _copy(source: asyncio.StreamReader, target: asyncio.StreamWriter) -> None:
-    """Copy bytes until the source ends or the target is gone."""
+    """Copy bytes until the source or the target is closed."""
     with contextlib.suppress(OSError):
         while data := await source.read(_BLOCK):
             target.write(data)

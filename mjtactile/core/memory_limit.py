@@ -2,7 +2,7 @@
 
 A request beyond the limit fails with a MemoryError that is handled. Without a limit, gigabyte
 allocations block all other threads of the interpreter for seconds. Devices then treat the host as
-dead. The kernel also kills a process that has used all memory.
+lost. The kernel also kills a process that has used all memory.
 """
 
 from __future__ import annotations

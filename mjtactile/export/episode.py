@@ -380,7 +380,7 @@ def meanings() -> dict[str, dict[str, str]]:
 
 
 def _task_description(task: str) -> str:
-    """Return the description of a task, or its name if its file is gone."""
+    """Return the description of a task, or its name if its file is missing."""
     try:
         return load_task(task).about
     except InputError:

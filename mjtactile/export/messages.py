@@ -1,4 +1,4 @@
-"""An episode as messages in order of time, whatever the format: topic, kind, stamp, value."""
+"""An episode as messages in order of time, for any format: topic, kind, stamp, value."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def _goal(recording: Recording) -> TaskGoal:
     task = scenario.get("task") if isinstance(scenario, dict) else None
     try:
         return load_task(task).goal.task_goal() if task else TaskGoal()
-    except InputError:  # a user's file that is gone
+    except InputError:  # a user's file that is missing
         return TaskGoal()
 
 

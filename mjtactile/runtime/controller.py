@@ -28,7 +28,7 @@ _EXTRA_TIME = 0.02
 
 
 class LoadedController(Protocol):
-    """A controller as the loop sees it; `path` is for messages."""
+    """Controller for the loop; `path` is for messages."""
 
     @property
     def path(self) -> Path: ...

@@ -94,7 +94,7 @@ class TaskScorer:
             self.set_down_impact = (
                 np.nan_to_num(self.set_down_impact) + pressed * steps * self.world.timestep
             )
-        is_pulled = time - self._up_since >= self.pulls  # a person who pulls carries it, too
+        is_pulled = time - self._up_since >= self.pulls  # a pulling person carries it, too
         if phase in ("lift", "hold") and height > _IN_AIR and time >= self._next_check:
             self._next_check = time + _EVERY
             stacked = self.world.second_object

@@ -158,7 +158,7 @@ if __name__ == "__main__":
 
     def launch_with_recorder(config, *, plugins):
         shown = next(plugin for plugin in plugins if isinstance(plugin, panel.Panel))
-        shown.source.step()  # the first cycle, and a pause: a browser may take its time to come up
+        shown.source.step()  # the first cycle, and a pause: a browser may start slowly
         return launch(config, plugins=[*plugins, WidgetRecorder(shown.source, shown, plugins[0])])
 
     add = session_bridge.SessionBridge.add

@@ -49,7 +49,7 @@ def test_the_folder_has_a_list_of_its_files(quick, capsys, tmp_path):
     for part in report["parts"]:
         assert {f"cad/{part}.stl", f"cad/{part}.step"} <= written
     assert (out / "pictures/exploded.png").read_bytes().startswith(b"\x89PNG")
-    # the copy is a sensor file; nothing is overwritten
+    # the copy is a sensor file; no file is overwritten
     assert main(["fabricate", str(out / "sensor.toml"), "--out", str(out)]) == 2
     assert "nothing is overwritten" in capsys.readouterr().err
 

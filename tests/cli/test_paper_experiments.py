@@ -27,7 +27,7 @@ def test_quick_figures_and_table(capsys, tmp_path):
     kept = [abs(d) for d in solid["own_deformation_mm"] if d is not None]
     given = [d for d in sponge["own_deformation_mm"] if d is not None]
     # a solid keeps its shape to 0.2 mm (bending of the reconstruction at sharp edges), the sponge
-    # gives way by millimetres
+    # yields by millimetres
     assert max(kept) < 0.3 < 0.8 < max(given)
     assert sponge["force_N"][-1] < solid["force_N"][-1]
     table = (tmp_path / "experiments.md").read_text()

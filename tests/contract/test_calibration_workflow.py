@@ -1,9 +1,9 @@
-"""Complete calibration of two fingers that differ from their sensor file: measure, calibrate,
-measure again.
+"""Test of the complete calibration of two fingers that differ from their sensor file: measure,
+calibrate, measure again.
 
 It runs on the as-built sensors of `models/rigs/emulated_as_built.toml`, over ptys and streams. The
-user has a printed board, a load cell, a caliper and a pressure of zero. The test simulates the
-person who reads the instruments, in the emulated world.
+user has a printed board, a load cell, a caliper and a pressure of zero. The test simulates the user
+who reads the instruments, in the emulated world.
 """
 
 # pyright: reportOptionalMemberAccess=false, reportArgumentType=false

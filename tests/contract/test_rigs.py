@@ -180,7 +180,7 @@ def test_state_is_finite_and_within_the_limits(rig):
 
 def test_every_reading_reports_when_it_was_taken(rig):
     images = [patient_read(camera, rig.clock, rig.period) for camera in rig.cameras]
-    # a replay's first image begins its first cycle only after the references' images
+    # a replay's first cycle starts with its first image after those of the references
     for _ in range(2):
         for camera in rig.cameras:
             images.append(patient_read(camera, rig.clock, rig.period))

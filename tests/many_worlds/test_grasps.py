@@ -83,7 +83,7 @@ def test_a_coarse_membrane_with_long_steps_holds_with_nearly_the_same_force():
     """The same commands on 11 x 9 nodes with half the steps.
 
     A contact of an egg covers few nodes, which makes it stiffer: 5 % more force with nodes 4 mm
-    apart, whatever the time step. The tolerance is twice that.
+    apart, for any time step. The tolerance is twice that.
     """
     fine = worlds(2, object="egg")
     coarse = worlds(2, object="egg", nodes=(11, 9), timestep=4.2e-3)

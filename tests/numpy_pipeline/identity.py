@@ -19,7 +19,7 @@ def match(
 
     `expected` (M, 3) m are predicted positions (NaN: unknown, then from the neighbours). `layout`
     (M, 3) m is the flat membrane's layout, which defines the neighbours. No id is assigned twice.
-    NaN rows of `p_SM` match nothing.
+    NaN rows of `p_SM` have no match.
     """
     found = np.asarray(p_SM, dtype=float)[:, :2]
     layout = np.asarray(layout, dtype=float)[:, :2]

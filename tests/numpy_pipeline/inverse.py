@@ -133,7 +133,7 @@ class DenseInverse(InverseMembrane):
             traction,
             pressure,
             float(misfit @ noise) / len(misfit),
-            cast(Any, gain),  # of the base's type, for those that ask it
+            cast(Any, gain),  # of the base's type, for callers that check it
             count,
             excess,
             drift_of(drift, gain.observed_drift),

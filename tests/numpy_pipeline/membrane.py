@@ -85,7 +85,7 @@ class _Contacts(NamedTuple):
     travel: Array  # displacement since the last update (2, n), m
     limit: Array  # (n,) N, of friction
     mass: Array  # (n,) kg: friction changes by this times a change of velocity over a step's length
-    drag: Array  # (n,): the share of a velocity against the surface that a step takes away
+    drag: Array  # (n,): the fraction of the normal velocity that a step removes
 
 
 class Stiction:
@@ -115,7 +115,7 @@ class Stiction:
         self._time = np.nan
         self._empty = False
         self._waits = False
-        # every other step will do while nothing slides, for half the price
+        # every second step is sufficient without sliding, at half the cost
         self._may_wait = self._step < _WAIT
         # displacement of all coordinates since the last update, divided by the step
         self._travel = np.zeros(model.nv)
@@ -179,8 +179,8 @@ class Stiction:
         return rows, sides, numbers[rows, sides]
 
     def _take_normal(self, rows: NDArray[np.int64], vertices: NDArray[np.int64]) -> None:
-        """Advance the margins by the depths of the contacts, so that vertices come to lie where
-        they should touch. They retract by a part of the depth that is left at most."""
+        """Advance the margins by the depths of the contacts, so that vertices come to rest at
+        contact. They retract by at most a part of the remaining depth."""
         contact = self._data.contact
         goal = np.zeros(self._count)
         velocity = np.empty(self._data.nefc)

@@ -210,7 +210,7 @@ class SurfaceFitter:
 
     def _solve(self, terms: _Terms) -> Spline:
         cholesky, fault = lapack.dpotrf(terms.normal + self.prior, lower=True, overwrite_a=True)
-        if fault:  # the prior is positive definite: only absurd weights come here
+        if fault:  # the prior is positive definite: only invalid weights lead here
             raise np.linalg.LinAlgError("normal equations of the surface are not positive definite")
         c, _ = lapack.dpotrs(cholesky, terms.right, lower=True)
         # features that the splines cannot follow (the edge of a contact) appear as residuals larger

@@ -58,7 +58,7 @@ def test_servo_and_both_membranes_agree(held):
 def test_friction_carries_the_weight(held):
     contact, _ = forces(held)
     # S has y up on both fingers. 3 %: the object still settles by micrometres, and soft objects
-    # oscillate a little
+    # oscillate slightly
     assert -contact[:, 1].sum() == pytest.approx(held.object.mass * GRAVITY, rel=0.03)
 
 

@@ -84,7 +84,7 @@ def test_an_objects_contact_bits_do_not_matter():
         settle(model, data, sensor)
         assert data.body("ball").xpos[2] > 0.443  # the object lies on the membrane
         depths.append(bulge(sensor))
-    # the same contacts, whatever bit they have
+    # the same contacts for any contact bits
     np.testing.assert_allclose(depths, depths[0], rtol=1e-6)
 
 

@@ -334,7 +334,7 @@ def test_a_sensor_stands_on_a_geom_of_the_world(fixed):
     ids=["floor", "table"],
 )
 def test_a_floor_behind_the_sensor_does_not_touch_it(fixed, tilt):
-    """A sensor that faces sideways, with its housing 1 mm above a floor, touches nothing.
+    """A sensor that faces sideways, with its housing 1 mm above a floor, has no contact.
 
     The floor is behind the membrane. Its bounding box, as seen from the sensor, is in front, too.
     """

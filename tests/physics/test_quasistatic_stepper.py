@@ -55,8 +55,8 @@ def test_many_steps_in_one_call_equal_single_steps():
 
 @pytest.mark.parametrize("task", ["bump", "shake"])
 def test_disturbances_occur_in_the_same_steps(task):
-    """A held egg is lifted, and pushed or shaken, which begins at a height and at a time: bit for
-    bit as step by step."""
+    """A held egg is lifted, and pushed or shaken from a height or a time: bit-identical to single
+    steps."""
     found = []
     for ahead in (True, False):
         rig, world = gripper_rig(task)

@@ -70,7 +70,7 @@ def test_a_robot_starts_open_at_the_grasp_height_of_the_object(name):
     world = make(name)
     p_WS, R_WS = tips(world)
     centre = p_WS.mean(axis=0)
-    if name != "sim_three_finger":  # whose tips come down as they close, see below
+    if name != "sim_three_finger":  # whose tips descend while they close, see below
         assert centre[2] == pytest.approx(world.object.grasp_height, abs=1e-6)
     assert ground_truth.object_position(world)[:2] == pytest.approx(centre[:2], abs=1e-6)
     opening = 2 * np.mean(np.sum((centre - p_WS) * R_WS[:, :, 2], axis=1))

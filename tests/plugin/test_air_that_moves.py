@@ -66,7 +66,7 @@ def test_noise_of_the_pressure_sensor_is_averaged_and_leaks_are_tracked() -> Non
 
 def test_scale_error_of_the_pressure_sensor_grows_away_from_its_zero() -> None:
     """The pressure sensor's scale adds uncertainty far from its zero: half a percent of the 1 kPa
-    that a valve has released, and nothing at the rest pressure."""
+    that a valve has released, and zero at the rest pressure."""
     chamber = mjtactile.load_sensor("dense").chamber
     follow = GasFilter(chamber)
     first_state = follow.start(Gas(1000.0), 0.0, 24e-6)

@@ -55,7 +55,7 @@ def test_a_thin_object_between_the_vertices_has_the_right_force_at_low_cost(
 def test_a_wire_is_held_where_two_vertices_share_it():
     wire = THIN_OBJECTS["wire of 0.3 mm radius"]
     forces = [press(wire, (1.6e-3, y), 0.1, turn=0.4).force for y in (0.0, 1e-3, 2e-3)]
-    assert max(forces) < 1.2 * min(forces)  # the wire's ends come to lie on other slopes, too
+    assert max(forces) < 1.2 * min(forces)  # the ends of the wire touch other slopes, too
 
 
 def scene(pegs="", **attaching):

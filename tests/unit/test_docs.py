@@ -332,7 +332,7 @@ def test_the_readme_has_five_results_in_150_lines():
     readme = (CHECKOUT / "README.md").read_text()
     assert sum(number.headline for number in readme_table.NUMBERS) == 5
     assert len(readme.splitlines()) <= 150
-    # three commands and the numbers come before any section
+    # three commands and the results precede all sections
     assert readme.index("bench:readme-table") < readme.index("\n## ")
 
 

@@ -71,7 +71,7 @@ class MjtactileTeleoperator(Teleoperator):
         seen = latest()
         last = self._last
         if last is None or last.phase not in ("done", "abort"):
-            if last is not None:  # its own notebook, which the robot does not hand back
+            if last is not None:  # separate memory, which the robot does not return
                 kept = replace(seen.command, phase=last.phase, memory=last.memory)
                 seen = replace(seen, command=kept)
             self._last = last = self._controller.step(seen)

@@ -140,7 +140,7 @@ def test_a_short_scene_is_estimated_within_its_error_bars():
             for sample in touched
         ]
     )
-    assert np.abs(z).max() < 5  # asked of every image
+    assert np.abs(z).max() < 5  # required of every image
 
 
 def test_finished_pieces_are_kept(tmp_path, monkeypatch):

@@ -34,7 +34,7 @@ def test_far_is_beyond_five_sd_and_a_twentieth_of_a_newton():
     good = numbers(grasp, ReplayResult((touch(1.02, 0.01),) * 5))
     rows = [row, {**row, "name": "y", **good, "without": good}]
     lines = table({"rows": rows, "sums": _sums(rows), "air": []}).splitlines()
-    # a fault without effect has no row of its own
+    # a fault without effect has no separate row
     assert lines[-1] == "| y | 0.020 / 0.02 | 0.020 / 0.02 |"
 
 

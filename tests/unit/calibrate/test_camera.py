@@ -89,7 +89,7 @@ def test_known_intrinsics_are_recovered(photos, tmp_path, capsys):
     out = tmp_path / "camera.yaml"
     assert main(["calibrate", "camera", str(photos), "--out", str(out), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    camera = Camera.from_file(out)  # the chain reads the written file
+    camera = Camera.from_file(out)  # the pipeline reads the written file
     sd = result["sd"]
     # Each within 4 of its own standard deviations, with a floor of 0.1 px: the bias of corner
     # refinement.
@@ -236,5 +236,5 @@ def test_live_calibration_reads_a_stream(photos, tmp_path, capsys):
         server.close()
     result = json.loads(capsys.readouterr().out)
     assert code == 0, result["reasons"]
-    # JPEG moves corners a little
+    # JPEG moves corners slightly
     assert abs(result["camera_matrix"]["data"][0] - 610) < max(4 * result["sd"]["fx"], 0.5)

@@ -85,8 +85,8 @@ def test_a_larger_target_is_reached_within_a_few_images_and_without_overshoot(ha
 
 @PLANTS
 def test_a_target_that_rises_and_falls_does_not_accumulate(hardness, lag, delay):
-    """What is no longer needed is withdrawn: ten rises by 0.2 N leave the force below the largest
-    target plus the 10 % of a step."""
+    """Corrections that are no longer needed are removed: after ten rises by 0.2 N the force is
+    below the largest target plus 10 % of a step."""
     targets = np.concatenate([np.repeat([0.18, 0.3], 75), np.tile([0.5, 0.3], 10)])
     found = forces(Plant(hardness, lag, delay), targets)[150:]
     assert found.max() < 0.52

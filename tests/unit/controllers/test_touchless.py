@@ -14,7 +14,7 @@ def test_touchless_completes_a_grasp_by_effort_and_height():
     opening = 0.05
     lift = 0.0
     for k in range(900):
-        effort = max(0.0, 0.04 - opening) * 300  # something of 40 mm that gives way by 300 N/m
+        effort = max(0.0, 0.04 - opening) * 300  # an object of 40 mm with a stiffness of 300 N/m
         command = touchless.step(
             observe(command, opening=opening, effort=effort, lift=lift, time=k / 30)
         )

@@ -79,7 +79,7 @@ def test_ctrl_c_does_not_reach_a_child_and_stop_ends_it(child):
     process.ask(child, "hello", "the child")
     os.kill(child.pid, signal.SIGINT)
     assert process.ask(child, "again", "the child")[0] == "again"
-    child.send_signal(signal.SIGSTOP)  # it hears no end of its stdin
+    child.send_signal(signal.SIGSTOP)  # it receives no end of its stdin
     process.stop(child, 0.1)
     assert process.how_it_ended(child) == "by signal 9"
 

@@ -153,8 +153,8 @@ def test_a_host_that_vanished_is_silence_for_the_watchdog(bench):
 
 
 def test_keep_alive_stops_when_the_host_is_silent(bench):
-    """The watchdog must be able to trip: 0.25 s after the last call of a running loop nothing is
-    sent any more."""
+    """The watchdog must be able to trip: 0.25 s after the last call of a running loop no packet is
+    sent."""
     gripper = bench.gripper(watchdog=0.1)
     try:
         gripper.command(Command(0.07, 2.0))

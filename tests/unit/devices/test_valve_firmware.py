@@ -152,7 +152,7 @@ def test_firmware_regulates_seals_and_vents_both_chambers(rig):
 
 
 def test_a_second_host_takes_over_from_a_lost_host(host):
-    """The board vents without a host; a second host that connects and dies is monitored, too."""
+    """The board vents without a host; a second host that connects and is lost is monitored, too."""
     for _ in range(2):
         board = ValveBoard([ValveConfig("left", host.path, heartbeat=0.2)])
         board.set(1, 1000.0)
@@ -300,7 +300,7 @@ def test_firmware_answers_equal_those_of_the_emulated_board(host):
         port.write(
             b"id\n9 id*00000000\n\xff\xfe\n" + b"x" * 500 + b"\n" + emulated.framed("65535 id")
         )
-        # and nothing to the damaged ones
+        # and no answer to damaged lines
         assert port.readline() == emulated.framed("65535 id mjvalve 1.1 2 1 6000")
 
 
@@ -311,7 +311,7 @@ def test_ten_million_damaged_bytes_cause_no_action(program):
         ).stdout
     )
     assert reported["bytes"] >= 10_000_000 and reported["lines"] > 300_000
-    assert reported["accepted"] == 0  # a CRC-32 lets 1 in 4 10^9 pass
+    assert reported["accepted"] == 0  # a CRC-32 passes 1 in 4 10^9
 
 
 def test_without_sensors_firmware_opens_the_supply_valve(tmp_path):

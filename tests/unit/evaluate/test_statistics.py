@@ -52,7 +52,7 @@ def test_the_interval_of_a_paired_difference_covers_the_truth(n):
 
 
 def test_without_differing_episodes_the_interval_is_not_zero():
-    # of 24 pairs alike, each share is below 1 - 0.025^(1 / 24) = 14.2 %: Clopper and Pearson
+    # of 24 equal pairs, each fraction is below 1 - 0.025^(1 / 24) = 14.2 %: Clopper and Pearson
     low, high = paired_interval(0, 0, 24)
     assert high == pytest.approx(1 - 0.025 ** (1 / 24)) and low == -high
     # one side alone is theirs
@@ -73,7 +73,7 @@ def test_required_episodes_are_estimated():
 
     # with as many of each kind in them, so many settle it, and one fewer does not
     assert low(n) > 0 >= low(n - 1)
-    # both kinds differ by chance as soon as 6 of 60 go one way and none the other
+    # both kinds differ significantly if 6 of 60 differ in one direction and none in the other
     assert paired(first, lines(["held"] * 56 + ["dropped"] * 4))["episodes_to_settle"] == 0
     other = paired(
         lines(["held", "dropped"] * 30), lines(["dropped", "held"] * 29 + ["held", "held"])

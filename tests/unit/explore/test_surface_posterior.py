@@ -201,7 +201,7 @@ def distances(surface, ways):
 def test_six_patches_determine_an_ellipsoid(explored):
     _, surface = explored
     off, sd = distances(surface, np.random.default_rng(2).normal(size=(200, 3)))
-    # six patches, 20 um of noise each: where nothing was touched it must still be right to 0.15 mm
+    # six patches, 20 um of noise each: untouched areas must be accurate to 0.15 mm
     assert np.sqrt(np.mean(off**2)) < 1.5e-4
     # the stated uncertainty is right: within 3 of its own sd nearly everywhere (99.7 % of a
     # Gaussian)

@@ -77,7 +77,7 @@ def test_contradicting_touches_widen_the_uncertainty_everywhere(two_families):
     uneven = [ball_patch(direction, 12.0 - 0.3 * (k % 2)) for k, direction in enumerate(directions)]
     disagreed = fuse(uneven)[0]
     assert disagreed.excess > 2
-    # 1.8 by its square root, and 0.04 mm that touches share; without it 1.2, by the numbers alone
+    # 1.8 by its square root, and 0.04 mm common to all touches; without it 1.2, by the values alone
     place = 12e-3 * np.random.default_rng(3).normal(size=(50, 3))
     place *= 12e-3 / np.linalg.norm(place, axis=1)[:, None]
     assert np.median(disagreed.distance_sd(place)) > 1.6 * np.median(agreed.distance_sd(place))

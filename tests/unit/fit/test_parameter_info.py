@@ -28,7 +28,7 @@ def test_an_undetermined_parameter_keeps_its_value_and_names_the_needed_recordin
 
 
 def test_prior_of_the_gas_volume_is_relative_to_all_of_the_gas():
-    """The extra volume may be nothing; 0.5 mL of 24 are 2 %."""
+    """The extra volume may be zero; 0.5 mL of 24 are 2 %."""
     assert classify("chamber.extra_volume_mL", 0.1, 0.5, 0.0, "", gas_mL=24.0).state == "fitted"
     assert (
         classify("chamber.extra_volume_mL", 0.1, 3.0, 0.0, "", gas_mL=24.0).state

@@ -141,7 +141,7 @@ def test_a_gripper_that_rises_without_the_object_has_dropped_it(env):
 
 
 def test_an_empty_gripper_has_no_reward_for_releasing():
-    """An empty gripper that rises a little and comes down open gets no reward for release.
+    """An empty gripper that rises slightly and lowers open gets no reward for release.
 
     An object that was never held counts as dropped.
     """

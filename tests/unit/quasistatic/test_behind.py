@@ -12,7 +12,7 @@ KINDS = {
     "capsule": lambda r: (r / 3, 1e-3),
     "box": lambda r: (r / 4, r / 4, 2e-3),
 }
-PRESSES = 150  # of a box, few go through
+PRESSES = 150  # few of a box pass through
 ABOUT = np.stack(np.meshgrid(*[np.linspace(-8e-3, 8e-3, 81)] * 2), axis=-1).reshape(-1, 2)
 
 

@@ -43,7 +43,7 @@ def test_a_sticking_patch_is_as_stiff_as_an_independent_membrane_holds_it(
     rel = 0.12 if radius < 10e-3 else 0.04
     assert patch.stiffness[0, 0] == pytest.approx(along, rel)
     assert patch.stiffness[1, 1] == pytest.approx(across, rel)
-    np.testing.assert_allclose(patch.center, 0, atol=1e-6)  # by symmetry, and nothing couples
+    np.testing.assert_allclose(patch.center, 0, atol=1e-6)  # by symmetry, without coupling
     scale = np.sqrt(patch.stiffness[0, 0] * patch.stiffness[2, 2])
     np.testing.assert_allclose(patch.stiffness[2, :2], 0, atol=1e-5 * scale)
 

@@ -33,7 +33,7 @@ class Scene:
 
     def object_triangles(self):
         number = np.arange(4000)
-        z = 1 - (2 * number + 1) / 4000  # a spiral, evenly all over
+        z = 1 - (2 * number + 1) / 4000  # a spiral, uniformly distributed
         angle = number * np.pi * (3 - np.sqrt(5))
         wide = np.sqrt(1 - z**2)
         points = np.column_stack([wide * np.cos(angle), wide * np.sin(angle), z])

@@ -1,4 +1,4 @@
-"""Tests of the page of a run: it matches the recording, loads nothing over a network, and stays
+"""Tests of the page of a run: it matches the recording, loads no file over a network, and stays
 small."""
 
 import base64

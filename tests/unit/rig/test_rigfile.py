@@ -1,4 +1,5 @@
-"""Rig files: the shipped ones load; a wrong one is refused by file, field and valid choices."""
+"""Tests of rig files: shipped files load; wrong files are refused with file, field and valid
+choices."""
 
 import copy
 import tomllib

@@ -243,7 +243,7 @@ def step(observation):
 def test_a_run_states_its_fingers_own_sensors_and_is_estimated_again_with_them(
     tmp_path, monkeypatch, capsys
 ):
-    """The summary of such a recording once failed: the chain of another sensor found few of its
+    """The summary of such a recording once failed: the pipeline of another sensor found few of its
     markers."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "quick.py").write_text(QUICK)

@@ -1,5 +1,5 @@
-"""Rig files of simulated rigs: the shipped ones load; a wrong one is refused by file, field and
-valid choices."""
+"""Tests of rig files of simulated rigs: shipped files load; wrong files are refused with file,
+field and valid choices."""
 
 import copy
 import math

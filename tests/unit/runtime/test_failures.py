@@ -49,11 +49,9 @@ def test_a_controller_that_raises_an_unexpected_error(raised, tmp_path):
 @pytest.mark.skipif(sys.platform != "linux", reason="no limit of a process's memory elsewhere")
 @pytest.mark.parametrize("greedy", ["at once", "in a list", "in the notebook"])
 def test_a_step_beyond_the_memory_limit_is_refused_and_the_gripper_lowers(greedy):
-    """A step that uses up the memory is rejected, and the gripper goes down.
-
-    The step gets less than one of 16 GB: to allocate them all would stop the loop for seconds. The
-    limit is one GB more than the process's use at the start, since memory freed by others may be
-    allocated again.
+    """A step beyond the memory limit is rejected, and the gripper lowers. The step gets less than
+    one of 16 GB: allocation of all of them would stop the loop for seconds. The limit is one GB
+    more than the process's use at the start, since memory freed by others may be allocated again.
     """
     eaten = []
     had = memory_limit._used()

@@ -136,8 +136,8 @@ def loaded(*down: float) -> tuple[Touch, ...]:
     ],
 )
 def test_an_object_on_the_table_when_the_fingers_open_is_set_down(held, released, height, outcome):
-    """The gripper may end above its start: the object had slipped, or the table came earlier. The
-    decision of the scoring without ground truth is the same as that of the control loop."""
+    """The gripper may end above its start: the object had slipped, or touched the table earlier.
+    The decision of the scoring without ground truth is the same as that of the control loop."""
     log = _Log(Observer(), None, None)
     rule = SetDown()
     steps = [

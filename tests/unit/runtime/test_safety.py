@@ -324,9 +324,8 @@ def test_the_force_is_not_raised_while_the_goal_still_closes_the_jaws():
 
 
 def test_time_of_the_retreat_includes_the_height():
-    """A gripper high up comes down before it opens.
-
-    5 s are 0.15 m: from a greater height the held object was dropped.
+    """A raised gripper lowers before it opens. 5 s are 0.15 m: from a greater height the held
+    object was dropped.
     """
     _, sent = retreat_from(0.4)
     opened = next(item for item in sent if item.opening > LAST.opening)

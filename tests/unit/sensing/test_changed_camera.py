@@ -114,7 +114,7 @@ def test_modes_equal_the_image_of_a_changed_camera():
     # a larger image: closer, at the same lateral position (its angle grows as its depth falls)
     assert modes[:, :2, 6] == pytest.approx(0)
     assert modes[:, 2, 6] / away[:, 2] == pytest.approx(-s.drift_zoom)
-    # larger circles: closer along their rays, by the share of their radius, 13 px
+    # larger circles: closer along their rays, by the fraction of their radius, 13 px
     fraction = np.linalg.norm(modes[:, :, 7], axis=1) / np.linalg.norm(away, axis=1)
     radius = design.camera.fx * design.markers.radius / away[:, 2]
     assert fraction == pytest.approx(s.drift_size / radius)

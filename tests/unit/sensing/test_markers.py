@@ -1,5 +1,5 @@
-"""Detection on supersampled images that share no code with the detector; hard images are right or
-flagged."""
+"""Tests of detection on supersampled images that share no code with the detector; difficult images
+are accurate or flagged."""
 
 import cv2
 import numpy as np

@@ -1,5 +1,5 @@
-"""Images of which a part is black, white, covered or torn state it; a hidden contact is not "no
-contact"."""
+"""Tests of images with a black, white, covered or torn part, which is reported; a hidden contact is
+not "no contact"."""
 
 import numpy as np
 import pytest

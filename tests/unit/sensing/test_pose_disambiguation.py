@@ -90,7 +90,7 @@ def test_confidence_for_independent_tilts_equals_the_success_rate():
     assert len(decided) > 90
     assert abs(np.mean(decided) - np.mean(sure)) < 0.12
     assert 0.55 < np.mean(sure) < 0.85  # the confidence is low
-    # neighbours without a common surface change nothing: the less tilted pose comes first
+    # neighbours without a common surface have no effect: the less tilted pose is first
     tilts = [np.stack([found.poses.n_C[:, 2], found.poses.n_C_alt[:, 2]]) for found in images]
     assert np.mean(np.concatenate([n[0] < n[1] for n in tilts])) > 0.97
 

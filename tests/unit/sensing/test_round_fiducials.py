@@ -40,7 +40,8 @@ def test_the_groove_is_a_ring_of_gas(path):
     ring = np.pi * (18.2**2 - 15.0**2) * 1e-6
     flat = np.pi * 15e-3**2 * design.chamber.depth
     groove = design.fiducials.groove(design)
-    # as far back as the sight of a circle's outer edge, 17.55 mm out, goes past the opening's
+    # setback at which the line of sight to a circle's outer edge, 17.55 mm out, passes the
+    # opening's
     assert groove == pytest.approx(
         (1 - 15 / 17.55) * (design.camera.distance - 1e-3), rel=1e-3
     )  # chords

@@ -20,7 +20,7 @@ from mjtactile.sensing.contact_shape.shape_models import FAMILIES
 
 BALL = FAMILIES["ball"]
 TOUCHING = 40  # nodes
-WRONG = np.hypot(0.03, 1.5 / TOUCHING)  # of a curvature in one look (equations F19)
+WRONG = np.hypot(0.03, 1.5 / TOUCHING)  # of a curvature in one evaluation (equations F19)
 
 
 def estimate_of(k, J, place_precision=4.0, ended_early=0.0):
@@ -95,8 +95,8 @@ def test_estimates_are_combined_with_heavy_tails(k2):
 
 
 def test_an_image_without_information_on_the_curvature_is_no_change():
-    """A fit that ended before its minimum has a residual pull of the prior. As information of an
-    image that determines nothing, it was a curvature of billions."""
+    """A fit that ended before its minimum has a residual pull of the prior. In an image without
+    information, it was a curvature of billions."""
     rng = np.random.default_rng(3)
     slopes = rng.normal(size=(81, 4)) * [2.0, 2.0, 5.0, 1.0]
     first, _ = estimate_of(100.0, slopes)

@@ -155,7 +155,8 @@ def test_a_patch_that_goes_along_the_shear_while_the_rubber_stays_slips(sensor, 
 
 def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
     """The patch does not move, as under a face that is larger than the contact; at a fifth of the
-    file's friction. Below a fifth of the normal force it rolls, or is as smooth as nothing dry."""
+    file's friction. Below a fifth of the normal force it rolls, or is smoother than any dry
+    object."""
     slides = np.r_[np.full(8, STICKS), np.full(8, SLIDES), np.full(4, STICKS)]
     for load, seen in ((0.25, "slipping"), (0.15, "sticking")):
         reported = states(verdicts(sensor, np.full(20, load * NORMAL), np.zeros(20), sticks=slides))

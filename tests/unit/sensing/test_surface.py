@@ -40,8 +40,7 @@ class Cosine:
 
 
 class PressedSurface:
-    """An ideal membrane (T lap z = -p) under a ball of radius R that has come down to z =
-    -depth."""
+    """Ideal membrane (T lap z = -p) under a ball of radius R lowered to z = -depth."""
 
     def __init__(self, radius=8e-3, depth=4e-3, x=3e-3, y=2e-3, pressure_over_tension=15.0, n=121):
         gx = np.linspace(-L / 2, L / 2, n)

@@ -162,7 +162,7 @@ def test_the_membrane_in_the_scene_is_the_estimated_surface():
     )
     s = touch.surface
     a, b, c = corners.swapaxes(0, 1)
-    area = np.cross(b - a, c - a)[:, 2] / 2  # seen along z
+    area = np.cross(b - a, c - a)[:, 2] / 2  # viewed along z
     assert area.sum() == pytest.approx((s.x[-1] - s.x[0]) * (s.y[-1] - s.y[0])) and (area > 0).all()
     center = np.linalg.norm(corners.mean(axis=1)[:, :2], axis=1).argmin()
     assert rgb[center, 1] == rgb[:, 1].max()  # green grows along viridis
