@@ -1,5 +1,5 @@
-"""A session of the emulated rig for `mjtactile bench rig`: emulator, rig, and sensing chains with
-references."""
+"""A session of the emulated rig for `mjtactile bench rig`: emulator, rig, and sensing pipelines
+with references."""
 
 from __future__ import annotations
 

@@ -235,7 +235,7 @@ SENSED: Mapping[str, Column] = {
     "valve_time": ("s", "measurement time", _valves("time")),
     "valve_age": ("s", "age when delivered", _valves("age")),
     **_COMMANDED,
-    "perception_ms": ("ms", "wall time of the sensing chain", lambda c: c.perception_ms),
+    "perception_ms": ("ms", "wall time of the sensing pipeline", lambda c: c.perception_ms),
     "state": ("", "state of the supervisor", lambda c: getattr(c, "state", "running")),
     "reason": ("", "if the state is not running", lambda c: getattr(c, "reason", "")),
 }

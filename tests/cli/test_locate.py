@@ -77,8 +77,8 @@ def check(frame):
     assert [m["status"] for m in markers] == ["ok"] * 9
     for marker, (u, v) in zip(markers, CENTERS_PX, strict=True):
         assert math.dist(marker["uv_px"], (u, v)) < 0.1
-        want = [(u - 319.5) * DEPTH_MM / FX, (v - 239.5) * DEPTH_MM / FX, DEPTH_MM]
-        assert math.dist(marker["center_mm"], want) < 0.1
+        expected = [(u - 319.5) * DEPTH_MM / FX, (v - 239.5) * DEPTH_MM / FX, DEPTH_MM]
+        assert math.dist(marker["center_mm"], expected) < 0.1
         assert marker["normal"][2] < -0.98  # faces the camera
         assert np.all(np.linalg.eigvalsh(marker["cov_center_mm2"]) > 0)
         assert len(marker["normal_alt"]) == 3 and 0.5 <= marker["preferred_probability"] <= 1

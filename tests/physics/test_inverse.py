@@ -109,8 +109,8 @@ def test_tangent_is_the_derivative_of_the_residual():
     change = (
         rubber.residual(rubber.state(c + v), SUPPLY) - rubber.residual(rubber.state(c - v), SUPPLY)
     ) / 2
-    # 2-point Gauss quadrature makes the follower pressure's matrix asymmetric by 5e-4, of which
-    # half is used
+    # 2-point Gauss quadrature makes the follower pressure's matrix asymmetric by 5e-4; half is
+    # used
     assert np.linalg.norm(K @ v.T.ravel() - change.T.ravel()) < 2e-3 * np.linalg.norm(change)
 
 

@@ -23,13 +23,14 @@ def test_words_to_avoid_raise_the_measures(tmp_path):
     record.write_text("What is felt is told.\n")
     private = check_prose.read_pages([record])
     assert pages.paragraphs == ["The force is estimated. It has a unit."]
-    values = check_prose.measure(check_prose.read_code(bad), pages, private)
+    values = check_prose.measure(*2 * [check_prose.read_code(bad)], pages, private)
     assert values["docstrings that start with a clause, %"] == 100
     assert values["identifiers that end in _most or _least, or contain what"] == 2
     assert values["'what' per 10 000 words of code text"] > 1000
     assert values["words to avoid per 10 000 words of code text"] > 3000
+    assert values["words to avoid per 10 000 words of tests"] > 3000
     assert values["words to avoid per 10 000 words of decision records"] > 3000
-    clean = check_prose.measure(check_prose.read_code(good), pages, pages)
+    clean = check_prose.measure(*2 * [check_prose.read_code(good)], pages, pages)
     counts = ("sentence", "paragraph", "documentation, words")
     assert all(
         value == 0 for name, value in clean.items() if not any(part in name for part in counts)
@@ -68,7 +69,7 @@ def write():
     (tmp_path / "a.py").write_text(code)
     nothing = check_prose.Text()
     text = check_prose.read_code(tmp_path)
-    values = check_prose.measure(text, nothing, nothing)
+    values = check_prose.measure(text, nothing, nothing, nothing)
     # `noun` and `of` of the four functions with a docstring; the property and the class are nouns
     assert values["function docstrings that do not start with an imperative verb, %"] == 50
     first = [sentence for _, sentence in check_prose.worst(text, nothing, 1)]

@@ -114,17 +114,16 @@ def test_a_grid_is_numbered_with_missing_and_false_circles():
     places, circles = board((0.4, -0.5, 0.6), (0.0, 0.0, 0.12))
     uv = optics.project(CAMERA, np.array([c.p_C for c in circles]))
     keep = rng.permutation(len(uv))[:90]  # 18 are missing
-    strangers = rng.uniform((0, 0), (640, 60), (15, 2))
-    found = number_grid(np.concatenate([uv[keep], strangers]))
-    mine = {k: place for k, place in found.items() if k < 90}
-    assert len(mine) >= 85
-    got = np.array(list(mine.values()))
-    want = np.array([places[keep[k]] for k in mine])
-    # the same up to where (0, 0) is and which way i and j go: one affine map with determinant 1 or
-    # -1
-    A = np.column_stack([want, np.ones(len(want))])
-    solved = np.linalg.lstsq(A, got, rcond=None)[0]
-    np.testing.assert_allclose(A @ solved, got, atol=1e-9)
+    false_circles = rng.uniform((0, 0), (640, 60), (15, 2))
+    found = number_grid(np.concatenate([uv[keep], false_circles]))
+    indices = {k: place for k, place in found.items() if k < 90}
+    assert len(indices) >= 85
+    numbered = np.array(list(indices.values()))
+    expected = np.array([places[keep[k]] for k in indices])
+    # equal up to the origin and the directions of i and j: an affine map with determinant 1 or -1
+    A = np.column_stack([expected, np.ones(len(expected))])
+    solved = np.linalg.lstsq(A, numbered, rcond=None)[0]
+    np.testing.assert_allclose(A @ solved, numbered, atol=1e-9)
     assert abs(abs(np.linalg.det(solved[:2])) - 1) < 1e-9
 
 

@@ -12,7 +12,7 @@ from mjtactile.sim.sensor.rubber_flex import stiffness_rows
 from tests.numpy_pipeline import membrane
 from tests.physics.test_step import scene
 
-ROUNDING = 1e-9  # sums in another order, some of which cancel by a few digits
+ROUNDING = 1e-9  # sums in another order, with cancellation of a few digits
 
 
 @pytest.fixture(scope="module")

@@ -83,10 +83,10 @@ def test_damaged_values_are_rejected_by_the_reader(tmp_path, complete, damage):
             continue
         reported += bool(found.problems)
         for key in found.columns if len(found) else ():
-            want = sound.columns.get(key)
-            got = found.columns[key]
-            if want is not None and want.dtype == float:
-                assert got.dtype == float and got.shape[1:] == want.shape[1:], (seed, key)
+            expected = sound.columns.get(key)
+            column = found.columns[key]
+            if expected is not None and expected.dtype == float:
+                assert column.dtype == float and column.shape[1:] == expected.shape[1:], (seed, key)
         assert not len(found) or np.isfinite(found.columns["time"]).all()
         for names in found.columns["images"] if len(found) else ():
             assert all(

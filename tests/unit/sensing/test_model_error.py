@@ -54,7 +54,7 @@ def test_shear_of_edges_that_catch_the_membrane_is_uncertain_and_that_of_smooth_
 ):
     """Shear of edges that catch the membrane adds uncertainty, shear of smooth shapes does not.
 
-    It grows with the root of the markers' excess noise beyond one, of which 20 count.
+    It grows with the root of the markers' excess noise beyond one, limited to 20.
     """
     estimated = loaded([0.3, 0.0, -1.0], [-0.1, 0.0, 0.0], excess=excess)
     found = sd(estimated, caught=(0.1, 0.0, 0.2, 0.0))

@@ -276,7 +276,7 @@ def test_rolling_and_turning_do_not_slip(sensor):
 def test_a_moving_contact_with_a_sticking_center_rolls(sensor):
     """A contact that moves along while its center clearly sticks is rolling, not slip.
 
-    A lying cylinder rolls along its load as far as a slip would go; the shear distinguishes them.
+    A lying cylinder rolls along its load by the distance of a slip; the shear distinguishes them.
     All of the shear is uniform over a falling pressure, and as much again is against it.
     """
     place = 4e-3 * ramp(12, 24) - 2e-3

@@ -147,8 +147,8 @@ def test_noise_reduction_and_rolling_shutter_mix_the_last_two_images(images):
 
 def test_jpeg_is_that_of_the_codec(images):
     data = cv2.imencode(".jpg", images[1].pixels, [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
-    want = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-    assert np.array_equal(shown(images, jpeg_quality=80), want)
+    expected = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+    assert np.array_equal(shown(images, jpeg_quality=80), expected)
 
 
 def test_faults_are_read_from_rig_and_variation_files():

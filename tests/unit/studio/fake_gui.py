@@ -7,24 +7,24 @@ import numpy as np
 
 
 class FakeGui:
-    """Stand-in GUI. `said` has the texts and labels of the last build; `press`, `check`, `slide`,
-    `choose` act in the next one."""
+    """Stand-in GUI. `texts` are the texts and labels of the last build. `set_input` sets the
+    input of a widget in the next build."""
 
     def __init__(self, real):
         self._real = real
         self.texts = []
-        self._wanted = {}
+        self._inputs = {}
 
     def __getattr__(self, name):
         real = getattr(self._real, name)
         return real if isinstance(real, type) else self._nothing  # flags and the like are real
 
-    def want(self, label, value=True):
-        self._wanted[label.split("###")[0]] = value
+    def set_input(self, label, value=True):
+        self._inputs[label.split("###")[0]] = value
 
     def _take(self, label):
         self.texts.append(label)
-        return self._wanted.pop(label.split("###")[0], None)
+        return self._inputs.pop(label.split("###")[0], None)
 
     @staticmethod
     def _nothing(*_, **__):

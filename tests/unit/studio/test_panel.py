@@ -192,10 +192,10 @@ def test_only_geoms_of_the_touch_are_shown(gui, bridge):
     # two cells of 12 x 10 a finger
     assert kinds.count(int(mujoco.mjtGeom.mjGEOM_TRIANGLE)) == 2 * 240
     assert kinds.count(int(mujoco.mjtGeom.mjGEOM_ARROW)) == 2
-    gui.want("membranes", "none")
-    gui.want("net force", False)
-    gui.want("outlines, centre of pressure", False)
-    gui.want("camera images", True)
+    gui.set_input("membranes", "none")
+    gui.set_input("net force", False)
+    gui.set_input("outlines, centre of pressure", False)
+    gui.set_input("camera images", True)
     build(plugin)
     build(plugin)
     assert [int(geom.type) for geom in plugin.viewer.extra_geoms[1:]] == 2 * 8 * [
@@ -252,7 +252,7 @@ def test_the_control_window_sends_requests_to_the_session(gui, bridge):
     session = bridge.session
 
     def do(label, value=True):
-        gui.want(label, value)
+        gui.set_input(label, value)
         build(plugin)
         bridge.on_images()
 
@@ -277,10 +277,10 @@ def test_the_control_window_sends_requests_to_the_session(gui, bridge):
     assert bridge.manual_goal.force == 1.5
     do("override the controller", False)
     assert bridge.manual_goal is None
-    gui.want("pause")
+    gui.set_input("pause")
     build(plugin)
     assert bridge.paused
-    gui.want("resume")
+    gui.set_input("resume")
     build(plugin)
     assert not bridge.paused
 
@@ -293,10 +293,10 @@ def test_another_run_can_change_object_and_effects(gui, bridge):
         ("seed", 7),
         ("shadows###shadows", True),
     ):
-        gui.want(label, value)
+        gui.set_input(label, value)
         build(plugin)
     assert not bridge.restart.is_set()
-    gui.want("start")
+    gui.set_input("start")
     build(plugin)
     assert bridge.restart.is_set()
     assert (bridge.scenario.object, bridge.scenario.accuracy, bridge.scenario.seed) == (
@@ -308,7 +308,7 @@ def test_another_run_can_change_object_and_effects(gui, bridge):
 
 
 def test_a_failed_removal_is_reported(gui, bridge):
-    gui.want("large deflection", False)
+    gui.set_input("large deflection", False)
     plugin = ControlWindow(bridge)
     build(plugin)
     assert "cannot be left out" in bridge.last_message and plugin._next.effects == "auto"
