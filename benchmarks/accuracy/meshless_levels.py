@@ -56,10 +56,10 @@ def run(
     for case in cases:
         notify(f"levels: a ball of {1e3 * case.radius:g} mm")
         true = press(finest, case)
-        mine = _press(case)
-        force.append(mine.force - true.force)
-        estimated.append(_estimated(mine.force) - true.force)
-        distances.append(np.linalg.norm(mine.p_SM - true.p_SM, axis=1))
+        own = _press(case)
+        force.append(own.force - true.force)
+        estimated.append(_estimated(own.force) - true.force)
+        distances.append(np.linalg.norm(own.p_SM - true.p_SM, axis=1))
     notify("levels: an egg held")
     held = _held()
     rows = [

@@ -91,10 +91,10 @@ def _sums(rows: Sequence[Row]) -> dict[str, Any]:
     """
     sums = {}
     for sensor in SENSORS:
-        mine = [row for row in rows if row["sensor"] == sensor]
-        sums[sensor] = {key: sum(row[key] for row in mine) for key in ("images", "ok", "far")}
+        selected = [row for row in rows if row["sensor"] == sensor]
+        sums[sensor] = {key: sum(row[key] for row in selected) for key in ("images", "ok", "far")}
         for key in ("ok", "far"):
-            sums[sensor][f"{key}_without"] = sum(row["without"][key] for row in mine)
+            sums[sensor][f"{key}_without"] = sum(row["without"][key] for row in selected)
     return sums
 
 

@@ -91,14 +91,14 @@ def _increments(
         constant = float(area @ cell / (area @ area))
     for step, estimated in zip(steps, constant * area, strict=True):
         step["paper_N"] = estimated
-    ours = np.array([s["ours_N"] for s in steps])
+    computed = np.array([s["ours_N"] for s in steps])
     return {
         "sensor": design.name,
         "valve": "closed" if sealed else "open",
         "constant_N_m2": constant,
         "steps": steps,
-        "error_ours_N": float(np.nanmean(np.abs(ours - cell))),
-        "unknown": int(np.isnan(ours).sum()),
+        "error_ours_N": float(np.nanmean(np.abs(computed - cell))),
+        "unknown": int(np.isnan(computed).sum()),
         "error_paper_N": float(np.abs(constant * area - cell).mean()),
     }
 

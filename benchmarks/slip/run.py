@@ -330,10 +330,10 @@ def plot(result: Mapping[str, Any], path: Path) -> None:
         ("within 100 ms", "#d08020"),
         ("late", "#c0221c"),
     ):
-        mine = [row for row in slips if row["outcome"] == name]
+        selected = [row for row in slips if row["outcome"] == name]
         left.plot(
-            [row["speed_mm_s"] for row in mine],
-            [row["latency_ms"] for row in mine],
+            [row["speed_mm_s"] for row in selected],
+            [row["latency_ms"] for row in selected],
             "o",
             ms=4,
             color=color,

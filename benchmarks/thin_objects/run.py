@@ -147,9 +147,11 @@ def table(result: dict[str, Any]) -> str:
 
 
 def _line(rows: list[dict[str, Any]], name: str) -> str:
-    mine = [row for row in rows if row["body"] == name]
-    stopped = sum(force is None for row in mine for force in row["forces"])
-    known = [row for row in mine if row["quasistatic"] is not None and None not in row["forces"]]
+    selected = [row for row in rows if row["body"] == name]
+    stopped = sum(force is None for row in selected for force in row["forces"])
+    known = [
+        row for row in selected if row["quasistatic"] is not None and None not in row["forces"]
+    ]
     if not known:
         return f"| {name} | | | | | | {stopped} | |"
     ratios = np.array([np.array(row["forces"]) / row["quasistatic"] for row in known])

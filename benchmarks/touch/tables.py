@@ -173,16 +173,23 @@ def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     left, right = figure.subplots(1, 2)
     colours = (("dense", "#1f5fa8"), ("paper16", "#c0221c"), ("fine", "#2e7d32"))
     for name, color in colours:
-        mine = [r for r in rows if r["sensor"] == name]
-        true = -np.array([r["force_true_N"][2] for r in mine])
-        error = -np.array([r["error_N"][2] for r in mine])
+        selected = [r for r in rows if r["sensor"] == name]
+        true = -np.array([r["force_true_N"][2] for r in selected])
+        error = -np.array([r["error_N"][2] for r in selected])
         left.errorbar(
-            true, error, [r["sd"][2] for r in mine], fmt="o", ms=3, lw=0.8, color=color, label=name
+            true,
+            error,
+            [r["sd"][2] for r in selected],
+            fmt="o",
+            ms=3,
+            lw=0.8,
+            color=color,
+            label=name,
         )
-        shear = [float(np.hypot(*r["force_true_N"][:2])) for r in mine]
+        shear = [float(np.hypot(*r["force_true_N"][:2])) for r in selected]
         right.plot(
             shear,
-            [float(np.hypot(*r["error_N"][:2])) for r in mine],
+            [float(np.hypot(*r["error_N"][:2])) for r in selected],
             "o",
             ms=3,
             color=color,

@@ -114,10 +114,10 @@ class SensorDesign:
         Returns:
             True if all values agree; name and calibration file may differ.
         """
-        mine, others = (
+        own, others = (
             write_fields(replace(design, name="", calibration=None)) for design in (self, other)
         )
-        return mine == others
+        return own == others
 
     def require_rectangle(self, purpose: str) -> None:
         """Reject a frame that is not rectangular.

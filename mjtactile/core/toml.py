@@ -201,7 +201,7 @@ class Section:
         except (TypeError, ValueError):
             array = np.full(1, np.nan)
         fits = array.ndim == len(shape) and all(
-            want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+            expected in (None, got) for expected, got in zip(shape, array.shape, strict=True)
         )
         if not fits or not np.isfinite(array).all():
             size = " x ".join("n" if n is None else str(n) for n in shape)

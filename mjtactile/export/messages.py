@@ -99,15 +99,15 @@ def _of_finger(source: Source, perceived: Perceived, index: int, finger: str) ->
         yield Message(f"/{finger}/image", "image", stamp, camera, (perceived.images[index], file))
         lens = effective_camera(source.design_of(finger)).camera
         yield Message(f"/{finger}/camera_info", "camera", stamp, camera, lens)
-    mine = {
+    own = {
         key: value[index]
         for key, value in perceived.row.items()
         if isinstance(value, (list, np.ndarray))
         and len(value) == len(source.fingers)
         and key not in NOT_OF_A_FINGER
     }
-    yield Message(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(mine["wrench"], float))
-    yield Message(f"/{finger}/touch", "touch", stamp, sensor, mine)
+    yield Message(f"/{finger}/wrench", "wrench", stamp, sensor, np.asarray(own["wrench"], float))
+    yield Message(f"/{finger}/touch", "touch", stamp, sensor, own)
     if perceived.touch:
         for name, cloud in _clouds(perceived.touch[index]):
             yield Message(f"/{finger}/{name}", "cloud", stamp, sensor, cloud)

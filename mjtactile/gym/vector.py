@@ -70,11 +70,11 @@ class ThreadedVectorEnv(NotCopyable, SyncVectorEnv):
 
     def step(self, actions: Array) -> tuple[Any, Array, Array, Array, dict[str, Any]]:
         """Step each environment, or start the next episode where one is over."""
-        mine = list(gymnasium.vector.utils.iterate(self.action_space, actions))
+        own = list(gymnasium.vector.utils.iterate(self.action_space, actions))
         resets = self.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         self._together(
             env.reset_ahead if over and resets else partial(env.step_ahead, action)
-            for env, action, over in zip(self._ahead, mine, self._autoreset_envs, strict=True)
+            for env, action, over in zip(self._ahead, own, self._autoreset_envs, strict=True)
         )
         return super().step(actions)
 

@@ -101,14 +101,14 @@ def sliding(world: World, sensor: int) -> tuple[float, float]:
     """
     data = world.data
     device = world.sensors[sensor]
-    mine = np.isin(data.contact.geom, device.vertex_geom_ids)
-    rows = np.flatnonzero(mine.any(axis=1) & (data.contact.efc_address >= 0))
+    own = np.isin(data.contact.geom, device.vertex_geom_ids)
+    rows = np.flatnonzero(own.any(axis=1) & (data.contact.efc_address >= 0))
     if not len(rows):
         return 0.0, 0.0
     velocity = np.empty(data.nefc)
     first = data.contact.efc_address[rows]
     mujoco.mj_mulJacVec(world.model, data, velocity, data.qvel)
-    sign = np.where(mine[rows, 1], 1.0, -1.0)[:, None]
+    sign = np.where(own[rows, 1], 1.0, -1.0)[:, None]
     planes = data.contact.frame[rows].reshape(-1, 3, 3)[:, 1:]
     v_W, f_W = (
         sign * np.einsum("nk,nkj->nj", np.stack([rate[first + 1], rate[first + 2]], axis=1), planes)
@@ -195,10 +195,8 @@ def _heights_of(world: World, device: TactileSensor, x: Array, y: Array) -> Arra
     """
     model = world.model
     data = world.data
-    mine = np.isin(data.contact.geom, device.vertex_geom_ids) | (
-        data.contact.flex == device.flex_id
-    )
-    others = mine.any(axis=1)[:, None] & ~mine
+    own = np.isin(data.contact.geom, device.vertex_geom_ids) | (data.contact.flex == device.flex_id)
+    others = own.any(axis=1)[:, None] & ~own
     geoms, flexes = (
         np.unique(ids[others & (ids >= 0)]) for ids in (data.contact.geom, data.contact.flex)
     )

@@ -61,7 +61,7 @@ def test_disturbances_are_those_of_the_rig(task):
     qpos = d.qpos.numpy().copy()
     qpos[:, 0] = many._limits.lift_height
     d.qpos.assign(qpos)
-    wanted = [list(on_the_rig(SEED + world, task)) for world in range(WORLDS)]
+    expected = [list(on_the_rig(SEED + world, task)) for world in range(WORLDS)]
     changes = []
     for k, time in enumerate((0.0, *TIMES)):
         d.time.fill_(time)
@@ -77,7 +77,7 @@ def test_disturbances_are_those_of_the_rig(task):
                 d.geom_xpos.numpy()[:, table, 2] - m.geom_pos.numpy()[:, table, 2],
             ]
         )
-        np.testing.assert_allclose(found, [rows[k] for rows in wanted], atol=2e-4, rtol=1e-5)
+        np.testing.assert_allclose(found, [rows[k] for rows in expected], atol=2e-4, rtol=1e-5)
         changes.append(found)
     assert bool(np.ptp(changes, axis=0).any()) == (task not in ("lift", "weigh"))
     many.rig.close()

@@ -173,9 +173,9 @@ class Stiction:
         1; the vertices."""
         contact = self._data.contact
         numbers = contact.geom - self._first  # of the vertices, or out of range
-        mine = (numbers >= 0) & (numbers < self._count)
-        rows = ((mine[:, 0] | mine[:, 1]) & (contact.efc_address >= 0)).nonzero()[0]
-        sides = mine[rows, 1].astype(np.int64)
+        own = (numbers >= 0) & (numbers < self._count)
+        rows = ((own[:, 0] | own[:, 1]) & (contact.efc_address >= 0)).nonzero()[0]
+        sides = own[rows, 1].astype(np.int64)
         return rows, sides, numbers[rows, sides]
 
     def _take_normal(self, rows: NDArray[np.int64], vertices: NDArray[np.int64]) -> None:

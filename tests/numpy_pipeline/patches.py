@@ -51,11 +51,11 @@ def find_patches(
     total = max(-float(nodal[..., 2].sum()), 1e-9)
     patches = []
     for k in range(1, count):
-        mine = owner[::REFINE, ::REFINE] == k
-        force = nodal[mine].sum(axis=0)
+        own = owner[::REFINE, ::REFINE] == k
+        force = nodal[own].sum(axis=0)
         if -force[2] >= s.min_fraction * total:
             core = np.where(
-                mine, np.maximum(pressing - s.core_fraction * float(pressing.max()), 0), 0
+                own, np.maximum(pressing - s.core_fraction * float(pressing.max()), 0), 0
             )
             field = np.where(owner == k, fine, 0)
             area = _area(
@@ -70,7 +70,7 @@ def find_patches(
             patches.append(
                 _patch(
                     inside,
-                    mine,
+                    own,
                     np.maximum(field - s.core_fraction * peak, 0),
                     force,
                     position,

@@ -79,13 +79,13 @@ def test_a_sponge_is_soft_and_its_modulus_is_estimated(capsys, tmp_path, sensor,
 def test_object_is_classified(capsys, name, kind, sensor, fast_probe):
     """The shipped controller classifies the block; clay needs more travel, since it yields so
     far."""
-    mine = (
+    options = (
         ["--controller", fast_probe(PRESS_TRAVEL_MAX=0.004, APPROACH_SPEED=0.03)]
         if name == "clay"
         else []
     )
     slower = sensor(20.0 if name == "block" else 15.0)
-    code, found = probe(capsys, "--object", name, "--sensor", slower, *mine)
+    code, found = probe(capsys, "--object", name, "--sensor", slower, *options)
     assert (code, found["material"]) == (0, kind)
     assert found["probability"][kind] > 0.7
     if kind == "solid":

@@ -45,8 +45,8 @@ def test_many_steps_in_one_call_equal_single_steps():
         rig.close()
         found.append((world.data.qpos.copy(), world.data.qvel.copy(), world.time, np.array(forces)))
     (*fast, fast_forces), (*slow, slow_forces) = found
-    for ours, theirs in zip(fast, slow, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    for computed, reference in zip(fast, slow, strict=True):
+        np.testing.assert_array_equal(computed, reference)
     # if the scene is read, forces are those after the step
     assert (fast_forces == slow_forces).mean() > 0.99
     # force in N: the object is held
@@ -78,8 +78,8 @@ def test_disturbances_occur_in_the_same_steps(task):
         assert any(stretches)  # it happened
         count = len(stretches)
         assert count < 1000 if ahead else count == 1500
-    for ours, theirs in zip(*found, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    for computed, reference in zip(*found, strict=True):
+        np.testing.assert_array_equal(computed, reference)
 
 
 def test_a_filled_object_has_the_specified_final_mass():
@@ -136,8 +136,8 @@ def test_reading_does_not_change_the_state(leak, ahead):
             [world.data.qpos.copy(), *(part for membrane in membranes for part in membrane)]
         )
         rig.close()
-    for ours, theirs in zip(*found, strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    for computed, reference in zip(*found, strict=True):
+        np.testing.assert_array_equal(computed, reference)
     assert found[0][1][2] < -0.2  # force in N: the object is held
 
 

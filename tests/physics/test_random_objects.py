@@ -83,12 +83,12 @@ def test_a_box_is_as_large_as_sampled_and_as_heavy_to_turn():
 def test_a_file_written_out_is_the_same_object(tmp_path):
     path = tmp_path / "thing.xml"
     path.write_text(to_mjcf(random_object(4), "thing"))
-    mine = load_object(path)
-    theirs = load_object("random:4")
-    assert (mine.mass, mine.break_force, mine.grasp_height) == (
-        theirs.mass,
-        theirs.break_force,
-        theirs.grasp_height,
+    loaded = load_object(path)
+    sampled = load_object("random:4")
+    assert (loaded.mass, loaded.break_force, loaded.grasp_height) == (
+        sampled.mass,
+        sampled.break_force,
+        sampled.grasp_height,
     )
 
 

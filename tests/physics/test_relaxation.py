@@ -44,8 +44,8 @@ class Patch:
         biaxial stretch `by` for `elapsed` s since the last call."""
         self.rubber._advance(self.flat * [1 + by, 1 + by, 1], elapsed)
         lasting = self.rubber._memory[0, :, 0]
-        mine = self.relaxation.quick * lasting - self.rubber._memory[1:, :, 0].sum(axis=0)
-        return float((lasting - self.at_rest)[0]), float((mine - self.at_rest)[0])
+        own = self.relaxation.quick * lasting - self.rubber._memory[1:, :, 0].sum(axis=0)
+        return float((lasting - self.at_rest)[0]), float((own - self.at_rest)[0])
 
 
 def test_stress_relaxes_by_its_prony_series():

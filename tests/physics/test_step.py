@@ -58,9 +58,9 @@ def pairs(model, data, sensor, **how):
 
 def test_with_the_same_tolerance_step_is_bit_identical_to_mj_step():
     model, data, sensor = scene()
-    for ours, theirs in pairs(model, data, sensor, first_tolerance=model.opt.tolerance):
-        np.testing.assert_array_equal(state(model, ours), state(model, theirs))
-        np.testing.assert_array_equal(ours.sensordata, theirs.sensordata)
+    for computed, reference in pairs(model, data, sensor, first_tolerance=model.opt.tolerance):
+        np.testing.assert_array_equal(state(model, computed), state(model, reference))
+        np.testing.assert_array_equal(computed.sensordata, reference.sensordata)
     assert data.ncon > 0
 
 
@@ -74,7 +74,8 @@ def test_without_the_first_solve_step_equals_mj_step_within_the_tolerance(tolera
     model, data, sensor = scene()
     model.opt.tolerance = tolerance
     largest = max(
-        np.abs(ours.qvel - theirs.qvel).max() for ours, theirs in pairs(model, data, sensor)
+        np.abs(computed.qvel - reference.qvel).max()
+        for computed, reference in pairs(model, data, sensor)
     )
     assert 0 < largest < left
     assert data.nidof == model.nv
@@ -85,8 +86,8 @@ def test_a_free_body_is_not_in_the_second_solve():
     that of mj_step."""
     model, data, sensor = scene(FLYING)
     start = data.qvel[-6:].copy()
-    for ours, theirs in pairs(model, data, sensor):
-        np.testing.assert_array_equal(state(model, ours), state(model, theirs))
+    for computed, reference in pairs(model, data, sensor):
+        np.testing.assert_array_equal(state(model, computed), state(model, reference))
     np.testing.assert_allclose(
         data.qvel[-6:] - start, [0, 0, -9.81 * data.time, 0, 0, 0], atol=1e-6
     )
@@ -103,9 +104,9 @@ def test_a_free_body_is_not_in_the_second_solve():
 def test_under_other_options_step_is_mj_step(option):
     model = mujoco.MjModel.from_xml_string(f"""<mujoco><option {option}/><worldbody><geom type="plane" size="1 1 .1"/>
         <body pos="0 0 0.1"><freejoint/><geom type="box" size=".05 .03 .02"/></body></worldbody></mujoco>""")
-    ours = mujoco.MjData(model)
-    theirs = mujoco.MjData(model)
+    computed = mujoco.MjData(model)
+    reference = mujoco.MjData(model)
     for _ in range(100):
-        advance(model, ours)
-        mujoco.mj_step(model, theirs)
-    np.testing.assert_array_equal(state(model, ours), state(model, theirs))
+        advance(model, computed)
+        mujoco.mj_step(model, reference)
+    np.testing.assert_array_equal(state(model, computed), state(model, reference))

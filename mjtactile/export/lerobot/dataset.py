@@ -53,8 +53,8 @@ def write(
             if f.dtype == "video"
         }
         text = task or episode.task
-        mine = features_of(episode, images)
-        block, episode_rows = _episode(episode, k, total, fps, tasks.index(text), mine, videos)
+        own = features_of(episode, images)
+        block, episode_rows = _episode(episode, k, total, fps, tasks.index(text), own, videos)
         row = _episode_row(episode, k, total, text, writer.add(block), videos, fps)
         for name, values in episode_rows.items():
             row |= {f"stats/{name}/{kind}": value for kind, value in values.items()}
@@ -81,10 +81,10 @@ def _checked(
     if round(episode.rate) != fps:
         rates = f"has {episode.rate:.3g} cycles per second, but {other} has {first.rate:.3g}"
         raise InputError(rates, source=folder)
-    mine = {k: f.info() for k, f in features_of(episode, images).items()}
+    own = {k: f.info() for k, f in features_of(episode, images).items()}
     infos = {k: f.info() for k, f in features.items()}
-    if mine != infos:
-        odd = sorted(mine.keys() ^ infos.keys()) or [k for k in mine if mine[k] != infos[k]]
+    if own != infos:
+        odd = sorted(own.keys() ^ infos.keys()) or [k for k in own if own[k] != infos[k]]
         raise InputError(f"has different columns than {other}: {', '.join(odd[:5])}", source=folder)
     return episode
 

@@ -93,9 +93,9 @@ class SecondObject:
 
     def _touches(self) -> bool:
         contact = self._data.contact
-        mine = contact.geom == self._geom
+        own = contact.geom == self._geom
         owners = self._model.geom_bodyid[contact.geom]
-        return bool((mine.any(axis=1) & np.isin(owners, self._below).any(axis=1)).any())
+        return bool((own.any(axis=1) & np.isin(owners, self._below).any(axis=1)).any())
 
     def _top(self) -> Sequence[float]:
         """Return its center (3,), m, when it stands on the held object."""

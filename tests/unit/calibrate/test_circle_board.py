@@ -93,8 +93,8 @@ def test_other_lens_models_are_recovered(model):
     assert fit.lens.model == model and fit.rms < 0.04 and fit.holdout_px < 0.05
     assert len(fit.sd) == 4 + len(fit.lens.coefficients)
     p = np.column_stack([np.mgrid[-4:5, -3:4].reshape(2, -1).T / 10, np.ones(63)])
-    ours = fit.lens.distort(p[:, :2]) * fit.K[[0, 1], [0, 1]] + fit.K[:2, 2]
-    off = ours - optics.project(truth, p)
+    computed = fit.lens.distort(p[:, :2]) * fit.K[[0, 1], [0, 1]] + fit.K[:2, 2]
+    off = computed - optics.project(truth, p)
     # a common shift is a rotation of the camera, which `frame` measures
     assert np.abs(off - off.mean(axis=0)).max() < 0.1
     if model == "equidistant":

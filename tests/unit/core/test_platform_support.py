@@ -53,8 +53,8 @@ def test_memory_is_shared_through_a_descriptor(monkeypatch, has_it):
     if not has_it:
         without("memfd_create", monkeypatch)
     descriptor = platform_support.memory_file("test")
-    ours = SharedState(descriptor, ["opening"])
-    ours["opening"] = 0.08
+    shared = SharedState(descriptor, ["opening"])
+    shared["opening"] = 0.08
     code = f"""if True:
         from mjtactile.emulator.shared_memory import SharedState
         state = SharedState({descriptor}, ["opening"])
@@ -65,8 +65,8 @@ def test_memory_is_shared_through_a_descriptor(monkeypatch, has_it):
         [sys.executable, "-c", code], pass_fds=[descriptor], capture_output=True, check=True
     )
     assert child.stdout == b"0.08\n"
-    assert ours["opening"] == 0.02
-    ours.close()
+    assert shared["opening"] == 0.02
+    shared.close()
     os.close(descriptor)
 
 

@@ -293,10 +293,10 @@ def test_firmware_answers_equal_those_of_the_emulated_board(host):
             answer = port.readline()
         for number, text in enumerate(lines):
             body = f"{number} {text}"
-            ours = board.reply(emulated.framed(body).rstrip(b"\n"), 0.0)
+            reply = board.reply(emulated.framed(body).rstrip(b"\n"), 0.0)
             port.write(emulated.framed(body))
-            if ours is not None:
-                assert port.readline() == ours, text
+            if reply is not None:
+                assert port.readline() == reply, text
         port.write(
             b"id\n9 id*00000000\n\xff\xfe\n" + b"x" * 500 + b"\n" + emulated.framed("65535 id")
         )

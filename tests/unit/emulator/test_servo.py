@@ -37,13 +37,13 @@ def xm():
 def test_addresses_are_those_of_the_sdk(model):
     """Two transcriptions of the same pages. The SDK's first table of a 330 has its indirect data
     where a 430's are; the one for firmware 52 agrees with the manual."""
-    ours = control_table(model).fields
+    computed = control_table(model).fields
     stem = model.lower().replace("-", "_")
-    theirs = load_table(stem + "_fw52" if "330" in model else stem)
-    both = [name for name in theirs if name in ours]
+    reference = load_table(stem + "_fw52" if "330" in model else stem)
+    both = [name for name in reference if name in computed]
     assert len(both) > 45
-    assert {n: (ours[n].address, ours[n].size) for n in both} == {
-        n: (theirs[n].address, theirs[n].size) for n in both
+    assert {n: (computed[n].address, computed[n].size) for n in both} == {
+        n: (reference[n].address, reference[n].size) for n in both
     }
 
 

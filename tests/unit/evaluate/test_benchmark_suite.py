@@ -75,8 +75,8 @@ def test_compared_controllers_have_the_same_episodes(new, tmp_path):
     assert list(found["tasks"]) == ["pour"]  # the other was not run
     pair = found["tasks"]["pour"][MINE]["against"][OTHER]
     assert pair["episodes"] == 4 and pair["difference"] == 0.5
-    mine = [{"episode": k, "outcome": "held"} for k in range(4)]
-    assert pair == paired(known.lines("pour", OTHER), mine)
+    own = [{"episode": k, "outcome": "held"} for k in range(4)]
+    assert pair == paired(known.lines("pour", OTHER), own)
     assert "| pour | mine | 4 of 4 (51-100 %) | 3.0 | +50 (" in benchmark_suite.table(known, found)
     # the same number of another task is another episode: 3 of 5 are held by the new one alone
     ran(new, tmp_path / "own", "shake", {MINE: ["held"]})

@@ -10,8 +10,8 @@ from mjtactile.evaluate.wilson import wilson
 
 @pytest.mark.parametrize(("count", "of"), [(0, 10), (10, 10), (7, 10), (395, 400), (1, 3)])
 def test_wilson(count, of):
-    theirs = binomtest(count, of).proportion_ci(method="wilson")
-    np.testing.assert_allclose(wilson(count, of), (theirs.low, theirs.high), atol=1e-9)
+    reference = binomtest(count, of).proportion_ci(method="wilson")
+    np.testing.assert_allclose(wilson(count, of), (reference.low, reference.high), atol=1e-9)
 
 
 def test_ten_of_ten_successes_have_an_interval():

@@ -45,26 +45,27 @@ def test_a_lerobot_data_set_contains_the_recordings(pair, tmp_path, images):
     assert pd.read_parquet(tmp_path / "meta/tasks.parquet").loc["grasp the vial", "task_index"] == 1
     for k, name in enumerate("ab"):
         recording = load_recording(pair / name)
-        mine = rows[rows["episode_index"] == k]
+        selected = rows[rows["episode_index"] == k]
         np.testing.assert_array_equal(
-            np.stack(mine["recorded.force_normal"]), recording.column("force_normal")
+            np.stack(selected["recorded.force_normal"]), recording.column("force_normal")
         )
         np.testing.assert_array_equal(
-            np.stack(mine["recorded.wrench"]), recording.column("wrench").reshape(-1, 12)
+            np.stack(selected["recorded.wrench"]), recording.column("wrench").reshape(-1, 12)
         )
-        np.testing.assert_array_equal(mine["recorded.time"], recording.columns["time"])
+        np.testing.assert_array_equal(selected["recorded.time"], recording.columns["time"])
         np.testing.assert_array_equal(
-            np.stack(mine["truth.force_normal_true"]), recording.column("force_normal_true")
+            np.stack(selected["truth.force_normal_true"]), recording.column("force_normal_true")
         )
         np.testing.assert_array_equal(
-            np.stack(mine["action"])[:, 0], recording.columns["command_opening"].astype(np.float32)
+            np.stack(selected["action"])[:, 0],
+            recording.columns["command_opening"].astype(np.float32),
         )
-        assert list(mine["recorded.phase"]) == list(recording.columns["phase"])
-        assert [json.loads(text) for text in mine["recorded.memory"]] == to_json(
+        assert list(selected["recorded.phase"]) == list(recording.columns["phase"])
+        assert [json.loads(text) for text in selected["recorded.memory"]] == to_json(
             list(recording.columns["memory"])
         )
         np.testing.assert_array_equal(
-            mine["timestamp"], (np.arange(len(mine)) / 30).astype(np.float32)
+            selected["timestamp"], (np.arange(len(selected)) / 30).astype(np.float32)
         )
     assert rows["recorded.status_code.left"][12 + 4] == "ok"  # synthetic: only the force is NaN
     assert (
@@ -223,10 +224,10 @@ def test_policy_columns_are_the_training_data(pair, tmp_path):
     rows = pq.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pandas()
     for k, name in enumerate("ab"):
         data = mjtactile.policy_data(pair / name)
-        mine = rows[rows["episode_index"] == k]
-        np.testing.assert_array_equal(np.stack(mine["policy.observation"]), data.observations)
+        selected = rows[rows["episode_index"] == k]
+        np.testing.assert_array_equal(np.stack(selected["policy.observation"]), data.observations)
         np.testing.assert_array_equal(
-            np.stack(mine["policy.action"]), data.actions.astype(np.float32)
+            np.stack(selected["policy.action"]), data.actions.astype(np.float32)
         )
 
 

@@ -36,12 +36,14 @@ def test_image_moments_equal_numpy():
         cv2.ellipse(image, (int(x), int(y)), (int(a), int(b)), rng.uniform(0, 180), 0, 360, 255, -1)
     borders, _ = cv2.findContours(image, cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
     counts = np.array([len(border) for border in borders])
-    ours = candidates._moments(np.concatenate(borders), counts, SIZE)
-    theirs = numpy_candidates.moments(np.concatenate(borders), counts, SIZE)
-    np.testing.assert_array_equal(ours.cut, theirs.cut)
-    assert ours.cut.any() and not ours.cut.all()
+    computed = candidates._moments(np.concatenate(borders), counts, SIZE)
+    reference = numpy_candidates.moments(np.concatenate(borders), counts, SIZE)
+    np.testing.assert_array_equal(computed.cut, reference.cut)
+    assert computed.cut.any() and not computed.cut.all()
     for name in ("center", "shape", "misfit"):
-        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(computed, name), getattr(reference, name), rtol=1e-9, atol=1e-9
+        )
 
 
 def sampled(rng, n):

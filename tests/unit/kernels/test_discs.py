@@ -64,12 +64,12 @@ def test_discs_and_opening(scene, blur, lens):
         ]
     )
     for render, shape in (("render_discs", (p, n, radius)), ("render_opening", (corners,))):
-        ours, theirs = np.zeros((2, camera.height, camera.width), np.float32)
-        for module, image in ((renderer, ours), (numpy_discs, theirs)):
+        computed, reference = np.zeros((2, camera.height, camera.width), np.float32)
+        for module, image in ((renderer, computed), (numpy_discs, reference)):
             getattr(module, render)(camera, *shape, blur, image)
-        assert theirs.max() > 0.99
-        np.testing.assert_allclose(ours, theirs, atol=2e-3 / blur**0.5)
-        assert np.sqrt(np.mean((ours - theirs) ** 2)) < 4e-4
+        assert reference.max() > 0.99
+        np.testing.assert_allclose(computed, reference, atol=2e-3 / blur**0.5)
+        assert np.sqrt(np.mean((computed - reference) ** 2)) < 4e-4
 
 
 def test_light_noise_and_rounding(scene):

@@ -43,16 +43,16 @@ def test_ellipses_are_those_of_numpy(radius, blur_sd):
     for fit_pixels in (edge_fit.fit_pixels, numpy_edges.fit_pixels):
         with patch.object(edge_fit, "fit_pixels", fit_pixels):
             fits.append(edge_fit.fit(image, start, shape, blur=0.9, blur_sd=blur_sd))
-    ours, theirs = fits
-    np.testing.assert_allclose(ours.residual, theirs.residual, rtol=2e-3)
-    np.testing.assert_allclose(ours.blur, theirs.blur, rtol=5e-3)
-    np.testing.assert_allclose(ours.lost, theirs.lost, rtol=0, atol=2e-3)
+    computed, reference = fits
+    np.testing.assert_allclose(computed.residual, reference.residual, rtol=2e-3)
+    np.testing.assert_allclose(computed.blur, reference.blur, rtol=5e-3)
+    np.testing.assert_allclose(computed.lost, reference.lost, rtol=0, atol=2e-3)
     sds = [np.sqrt(np.diagonal(fit.cov, axis1=1, axis2=2)) for fit in fits]
     np.testing.assert_allclose(*sds, rtol=5e-3)
-    assert (np.abs(ours.center - theirs.center) < 0.1 * sds[0][:, :2]).all()
-    assert (np.abs(ours.shape - theirs.shape) < 0.1 * sds[0][:, 2:]).all()
+    assert (np.abs(computed.center - reference.center) < 0.1 * sds[0][:, :2]).all()
+    assert (np.abs(computed.shape - reference.shape) < 0.1 * sds[0][:, 2:]).all()
     clean = np.arange(len(center)) != 3
-    assert np.abs(ours.center - center)[clean].max() < 6 * sds[0][clean, :2].max()
+    assert np.abs(computed.center - center)[clean].max() < 6 * sds[0][clean, :2].max()
 
 
 @pytest.mark.parametrize("robust", [False, True])
@@ -64,14 +64,16 @@ def test_equations_of_gamma_are_those_of_numpy(robust):
     pixels, _, origin = edge_fit.gather(image, center, shape, around, 5.0)
     row = [60.0, 180.0, 1e-3, -2e-3, 0.8]
     theta = np.column_stack([center - origin, shape, np.tile(row, (len(center), 1))])
-    ours = gamma_fit.equations(pixels, theta, 1.7, robust=robust)
-    theirs = numpy_edges.gamma_equations(pixels, theta, 1.7, robust=robust)
-    norm = np.sqrt(np.diagonal(theirs[0], axis1=1, axis2=2))
-    by_gamma, _, residual, kept, *at_edge = np.sqrt(np.abs(theirs[1][:, 20:])).T
+    computed = gamma_fit.equations(pixels, theta, 1.7, robust=robust)
+    reference = numpy_edges.gamma_equations(pixels, theta, 1.7, robust=robust)
+    norm = np.sqrt(np.diagonal(reference[0], axis1=1, axis2=2))
+    by_gamma, _, residual, kept, *at_edge = np.sqrt(np.abs(reference[1][:, 20:])).T
     scales = [norm * residual[:, None], norm * by_gamma[:, None]]
     squares = np.square([by_gamma, np.sqrt(by_gamma * residual), residual, kept, *at_edge]).T
-    assert (np.abs(ours[0] - theirs[0]) < 1e-5 * norm[:, :, None] * norm[:, None]).all()
-    assert (np.abs(ours[1] - theirs[1]) < 1e-5 * np.concatenate([*scales, squares], axis=1)).all()
+    assert (np.abs(computed[0] - reference[0]) < 1e-5 * norm[:, :, None] * norm[:, None]).all()
+    assert (
+        np.abs(computed[1] - reference[1]) < 1e-5 * np.concatenate([*scales, squares], axis=1)
+    ).all()
 
 
 def test_a_marker_outside_the_image_has_no_pixels():

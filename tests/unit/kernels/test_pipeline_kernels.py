@@ -37,13 +37,13 @@ def test_ellipses_from_profiles(image):
     """
     found = candidates.find(image.pixels, 4.0)
     assert len(found) > 70
-    ours, theirs = (
+    computed, reference = (
         fit(image.pixels, found.center, found.shape)
         for fit in (ellipse_fit.fit_profiles, numpy_profiles.fit)
     )
-    for field in fields(ours):
-        a = getattr(ours, field.name)
-        b = getattr(theirs, field.name)
+    for field in fields(computed):
+        a = getattr(computed, field.name)
+        b = getattr(reference, field.name)
         np.testing.assert_allclose(a, b, rtol=2e-5, atol=1e-5 * np.abs(b).max(), err_msg=field.name)
 
 
@@ -65,17 +65,17 @@ def test_poses_from_ellipses(image, camera):
     """Both work in double precision on numbers of order 1; the covariance goes through a 5 x 5
     solution."""
     ellipses = markers.detect(image, min_radius_px=4.0, settings=DEFAULTS)
-    ours, theirs = (
+    computed, reference = (
         module.estimate_poses(ellipses, camera, DESIGN.markers.radius)
         for module in (circles, numpy_circles)
     )
     for name in ("uv_px", "p_CM", "n_C", "p_CM_alt", "n_C_alt", "cov_p"):
-        a = getattr(ours, name)
-        b = getattr(theirs, name)
+        a = getattr(computed, name)
+        b = getattr(reference, name)
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * np.abs(b).max(), err_msg=name)
     for a, b in zip(
         *(
-            module.pose_covariances(ellipses, camera, ours.p_CM_alt, ours.n_C_alt)
+            module.pose_covariances(ellipses, camera, computed.p_CM_alt, computed.n_C_alt)
             for module in (circles, numpy_circles)
         ),
         strict=True,
@@ -113,7 +113,7 @@ def test_identity():
         p = np.concatenate([p, p[:3] + 0.3 * pitch])
         p[rng.random(len(p)) < 0.05] = np.nan
         expected[rng.random(len(expected)) < rng.choice([0.0, 0.1, 1.0])] = np.nan
-        ours, theirs = (
+        computed, reference = (
             module.match(p, expected, layout) for module in (marker_matching, numpy_identity)
         )
-        np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(computed, reference)

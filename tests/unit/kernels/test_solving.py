@@ -49,18 +49,20 @@ def test_spline_through_markers(sensor):
     left_out = 0
     for tilts in [True] * 8 + [False] * 2:
         p, cov, n = dented(design, rng)
-        ours, theirs = (fitter.fit_spline(p, cov, n if tilts else None) for fitter in fitters)
-        left_out += np.isfinite(p).all(axis=1).sum() - theirs.markers
-        np.testing.assert_allclose(ours.coefficients, theirs.coefficients, atol=1e-13)
-        assert ours.misfit == pytest.approx(theirs.misfit, rel=1e-9)
-        ours = ours.surface()
-        theirs = theirs.surface()
-        np.testing.assert_allclose(ours.z, theirs.z, atol=1e-14)
-        assert ours.area == pytest.approx(theirs.area, rel=1e-12) and ours.volume == pytest.approx(
-            theirs.volume, abs=1e-17
+        computed, reference = (
+            fitter.fit_spline(p, cov, n if tilts else None) for fitter in fitters
         )
-        assert ours.area_sd == pytest.approx(theirs.area_sd, rel=1e-5)
-        assert ours.volume_sd == pytest.approx(theirs.volume_sd, rel=1e-5)
+        left_out += np.isfinite(p).all(axis=1).sum() - reference.markers
+        np.testing.assert_allclose(computed.coefficients, reference.coefficients, atol=1e-13)
+        assert computed.misfit == pytest.approx(reference.misfit, rel=1e-9)
+        computed = computed.surface()
+        reference = reference.surface()
+        np.testing.assert_allclose(computed.z, reference.z, atol=1e-14)
+        assert computed.area == pytest.approx(
+            reference.area, rel=1e-12
+        ) and computed.volume == pytest.approx(reference.volume, abs=1e-17)
+        assert computed.area_sd == pytest.approx(reference.area_sd, rel=1e-5)
+        assert computed.volume_sd == pytest.approx(reference.volume_sd, rel=1e-5)
     # there, four markers a row leave none that all others predict
     assert left_out or sensor == "paper16"
 
@@ -78,12 +80,12 @@ def test_membrane(law):
     """The kernel's membrane equals numpy's to rounding of sums of some hundred products."""
     design = load_sensor("dense")
     design = replace(design, membrane=replace(design.membrane, law=law))
-    ours = spline_fem.SplineMembrane(design, (14, 10))
+    computed = spline_fem.SplineMembrane(design, (14, 10))
     theirs = numpy_membrane.SplineMembrane(design, (14, 10))
     rng = np.random.default_rng(4)
-    n = ours.count
-    c = ours.equilibrium(Gas(600.0)) + rng.normal(0, 3e-5, (3, n))
-    state = ours.state(c, 1.2)
+    n = computed.count
+    c = computed.equilibrium(Gas(600.0)) + rng.normal(0, 3e-5, (3, n))
+    state = computed.state(c, 1.2)
     reference = theirs.state(c, 1.2)
     assert state.volume == pytest.approx(reference.volume, rel=1e-12)
     np.testing.assert_allclose(
@@ -91,18 +93,18 @@ def test_membrane(law):
     )
     residual = theirs.residual(reference, 600.0)
     np.testing.assert_allclose(
-        ours.residual(state, 600.0), residual, atol=1e-12 * np.abs(state.elastic).max()
+        computed.residual(state, 600.0), residual, atol=1e-12 * np.abs(state.elastic).max()
     )
     lower = theirs.tangent(reference, 600.0)
     tangent = np.where(np.kron(np.tri(3), np.ones((n, n))), lower, 0)
     tangent += np.where(np.kron(1 - np.tri(3), np.ones((n, n))), lower.T, 0)
     np.testing.assert_allclose(
-        from_band(ours.tangent(state, 600.0), ours.width),
+        from_band(computed.tangent(state, 600.0), computed.width),
         tangent,
         atol=1e-12 * np.abs(tangent).max(),
     )
-    gas = ours.seal(state, 600.0)
-    (_, stiffness), (_, factor) = ours.linearise(state, gas), theirs.linearise(reference, gas)
+    gas = computed.seal(state, 600.0)
+    (_, stiffness), (_, factor) = computed.linearise(state, gas), theirs.linearise(reference, gas)
     forces = rng.standard_normal((3, n))
     expected = cho_solve(factor, forces.ravel()).reshape(3, -1)
     # condition 1e3
@@ -114,10 +116,10 @@ def test_membrane(law):
 def test_an_indefinite_stiffness_is_regularized():
     """A membrane with random displacements of millimeters has an indefinite tangent; Newton's step
     is finite and a descent direction."""
-    ours = spline_fem.SplineMembrane(load_sensor("dense"), (14, 10))
-    state = ours.state(np.random.default_rng(0).normal(0, 2e-3, (3, ours.count)))
-    assert np.linalg.eigvalsh(from_band(ours.tangent(state, 0.0), ours.width))[0] < 0
-    residual, stiffness = ours.linearise(state, Gas(0.0))
+    computed = spline_fem.SplineMembrane(load_sensor("dense"), (14, 10))
+    state = computed.state(np.random.default_rng(0).normal(0, 2e-3, (3, computed.count)))
+    assert np.linalg.eigvalsh(from_band(computed.tangent(state, 0.0), computed.width))[0] < 0
+    residual, stiffness = computed.linearise(state, Gas(0.0))
     assert (residual * stiffness.solve(residual)).sum() > 0
 
 
@@ -127,7 +129,7 @@ def test_tractions_from_markers(sensor):
     innovation, 1e3 each."""
     design = load_sensor(sensor)
     rng = np.random.default_rng(2)
-    ours = InverseMembrane(design)
+    computed = InverseMembrane(design)
     theirs = DenseInverse(design)
     p = design.markers.p_SM
     n = design.markers.count
@@ -138,24 +140,24 @@ def test_tractions_from_markers(sensor):
     )
     cov = np.tile(np.diag([1e-12, 1e-12, 3e-11]), (n, 1, 1))
     outward = np.tile([0.0, 0.0, -1.0], (n, 1))
-    rest = ours.rest_state(
+    rest = computed.rest_state(
         Markers(np.arange(n), p + np.outer(bulge, [0, 0, 1]), outward, cov), 1000.0
     )
     rest = replace(rest, young=rest.stiffness_scale, stretch=1.0)  # the reference has no stretch
     shape = reference = None
     for depth in (0.0, 0.3e-3, 0.32e-3, 1.5e-3):
-        q = ours.positions(rest.c) + rest.offset
+        q = computed.positions(rest.c) + rest.offset
         dent = depth * np.exp(-((p[:, :2] - [2e-3, 1e-3]) ** 2).sum(axis=1) / 6e-3**2)
         q[:, 2] -= dent
         tilts = 2 * dent[:, None] * (p[:, :2] - [2e-3, 1e-3]) / 6e-3**2
         normals = np.column_stack([tilts, -np.ones(n)])
         ids = np.sort(rng.choice(n, n - (depth > 1e-3), replace=False))
         markers = Markers(ids, (q + rng.normal(0, 5e-6, q.shape))[ids], normals[ids], cov[ids])
-        shape = ours.estimate(markers, rest, shape)
+        shape = computed.estimate(markers, rest, shape)
         reference = theirs.estimate(markers, rest, reference)
         assert shape.steps == reference.steps
         np.testing.assert_allclose(shape.c, reference.c, atol=1e-12)
-        one = ours.traction(shape)
+        one = computed.traction(shape)
         other = theirs.traction(reference)
         np.testing.assert_allclose(one.wrench, other.wrench, atol=1e-9)
         np.testing.assert_allclose(one.force, other.force, atol=1e-9)

@@ -65,9 +65,11 @@ def test_the_compliance_is_the_inverse_of_the_stiffness():
     factor = membrane.stiffness_factor(membrane.rest)
     in_plane = np.arange(factor.shape[1]) % 3 < 2
     inverse = cho_solve_banded((factor, True), np.eye(factor.shape[1]))
-    ours = compliance_of(membrane, membrane.rest)
+    computed = compliance_of(membrane, membrane.rest)
     # the same sums in another order
-    np.testing.assert_allclose(ours, inverse[in_plane][:, in_plane], atol=1e-12 * ours.max())
+    np.testing.assert_allclose(
+        computed, inverse[in_plane][:, in_plane], atol=1e-12 * computed.max()
+    )
 
 
 def test_two_bodies_are_two_patches(fine):

@@ -175,18 +175,18 @@ def test_a_recording_is_replayed_with_the_sensor_that_it_contains(tmp_path, capl
     path = tmp_path / "mine.toml"
     text = resources.find("dense", "models/sensors", ".toml").read_text()
     path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.36 "))
-    mine = load_sensor(path)
+    own = load_sensor(path)
     rig = recorded(tmp_path / "run", str(path))
-    assert resolve_scenario(Scenario(rig=rig)).sensor == mine and not caplog.text
+    assert resolve_scenario(Scenario(rig=rig)).sensor == own and not caplog.text
     path.write_text(text.replace("\nthickness_mm = 0.3 ", "\nthickness_mm = 0.6 "))  # edited
-    assert load_sensor(path).membrane != mine.membrane
+    assert load_sensor(path).membrane != own.membrane
     replayed = resolve_scenario(Scenario(rig=rig))
-    assert replayed.sensor == mine and "mine.toml' has changed since" in caplog.text
+    assert replayed.sensor == own and "mine.toml' has changed since" in caplog.text
     assert resolve_scenario(replayed) == replayed
     with pytest.raises(InputError, match="recorded with other values of 'mine', not with"):
         resolve_scenario(replace(replayed, sensor=str(path)))
     path.unlink()
-    assert resolve_scenario(Scenario(rig=rig)).sensor == mine
+    assert resolve_scenario(Scenario(rig=rig)).sensor == own
     with pytest.raises(InputError, match=r"--sensor: finger 'left' was recorded with 'mine', not"):
         resolve_scenario(replace(replayed, sensor="round30"))
     # the default is another, too, if it is given

@@ -15,9 +15,9 @@ RNG = np.random.default_rng(0)
 @pytest.fixture
 def ends():
     """Provide both ends of a channel; the first lends the other a page of memory."""
-    ours, its = socket.socketpair()
-    with ours, its, mmap.mmap(-1, ROOM) as memory:
-        yield Channel(ours, lent=memory), Channel(its, given=memory)
+    own_end, other_end = socket.socketpair()
+    with own_end, other_end, mmap.mmap(-1, ROOM) as memory:
+        yield Channel(own_end, lent=memory), Channel(other_end, given=memory)
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, ROOM // 8, ROOM // 8 + 1])
@@ -49,9 +49,9 @@ def test_an_answer_needs_no_memory(ends):
 
 
 def test_a_closed_process_refuses_requests_like_a_lost_process():
-    ours, its = socket.socketpair()
-    with its:
-        one = Channel(ours, lent=mmap.mmap(-1, ROOM))
+    own_end, other_end = socket.socketpair()
+    with other_end:
+        one = Channel(own_end, lent=mmap.mmap(-1, ROOM))
         one.close()
         with pytest.raises(OSError):
             one.send(np.zeros(9))

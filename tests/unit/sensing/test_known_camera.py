@@ -266,9 +266,9 @@ def test_correction_by_fiducials_equals_the_joint_fit():
     )
     data = np.concatenate([seen, moved.ravel(), np.zeros(6 + OBSERVED_MODES)])
     joint = np.linalg.lstsq(rows, data, rcond=None)[0][:6]
-    ours = np.vstack([np.hstack([H, D @ root]), np.eye(6 + OBSERVED_MODES)])
+    computed = np.vstack([np.hstack([H, D @ root]), np.eye(6 + OBSERVED_MODES)])
     left = np.concatenate([seen - D @ mean, np.zeros(6 + OBSERVED_MODES)])
-    assert np.linalg.lstsq(ours, left, rcond=None)[0][:6] == pytest.approx(joint, abs=1e-10)
+    assert np.linalg.lstsq(computed, left, rcond=None)[0][:6] == pytest.approx(joint, abs=1e-10)
 
 
 def test_an_outlier_fiducial_has_no_weight():

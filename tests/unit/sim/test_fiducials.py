@@ -66,7 +66,7 @@ def test_fiducials_change_only_their_own_pixels():
     level of a membrane."""
     plain = load_sensor("dense")
     design = load_sensor("dense_fiducials")
-    ours, theirs = (
+    computed, reference = (
         Renderer(item).irradiance_image(*flat(item), effects=Effects()) for item in (design, plain)
     )
     camera = optics.Camera.from_design(plain.camera, plain.glass)
@@ -75,12 +75,12 @@ def test_fiducials_change_only_their_own_pixels():
         optics.project(camera, s * np.array(half) - plain.camera.p_SC).astype(int) for s in (-1, 1)
     )
     inside = (slice(low[1] + 6, high[1] - 5), slice(low[0] + 6, high[0] - 5))
-    assert ours[inside] == pytest.approx(theirs[inside], abs=1e-3)
+    assert computed[inside] == pytest.approx(reference[inside], abs=1e-3)
     # between two circles of the left column: leds.membrane_DN, less the loss at the corners
     _, center = outlines(design)
     u, v = np.rint(center[:2].mean(axis=0)).astype(int)
     light = Renderer(design)._light.field(design.markers.p_SM)[v, u]
-    assert ours[v, u] == pytest.approx(design.leds.membrane_dn * light, abs=0.5)
+    assert computed[v, u] == pytest.approx(design.leds.membrane_dn * light, abs=0.5)
 
 
 def test_synthetic_ellipses_include_fiducials():
