@@ -62,7 +62,7 @@ def run(out: Path, quick: bool = False) -> dict[str, Any]:
     result = {
         "stamp": stamp(),
         "effects": effects,
-        "nothing_left": _nothing_left(design),
+        "nothing_left": _remaining_cost(design),
         "date": f"{datetime.date.today():%Y-%m-%d}",
     }
     good = {name: row for name, row in effects.items() if "failed" not in row}
@@ -222,7 +222,7 @@ def _drawer(design: SensorDesign, effects: frozenset[str]) -> Callable[[], Any]:
     return lambda: renderer.render(p_SM, n_S)
 
 
-def _nothing_left(design: SensorDesign) -> dict[str, Any]:
+def _remaining_cost(design: SensorDesign) -> dict[str, Any]:
     """Measure the remaining costs with effects off.
 
     Bare MuJoCo is compared with `World` without sensors, interleaved. The model's elements are

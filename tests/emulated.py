@@ -123,7 +123,7 @@ def valve_configs(path: str) -> list[ValveConfig]:
 
 
 @contextlib.contextmanager
-def at_pace(slow: float) -> Iterator[None]:
+def slowed(slow: float) -> Iterator[None]:
     """Slow down everything started inside the block to 1/`slow` of the speed."""
     before = scaled_clock.slow()
     scaled_clock.set_slow(slow)

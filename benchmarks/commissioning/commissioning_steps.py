@@ -313,7 +313,7 @@ def _held_error(
         recorder.start(session)
         session.take_references(recorder)
 
-        class Brief:
+        class BriefHold:
             path = Path("gentle")
 
             def step(self, observation: Any) -> Any:
@@ -331,7 +331,7 @@ def _held_error(
                     ]
                 )
 
-        session.run(Brief(), time_limit=60.0, on_cycle=on_cycle)
+        session.run(BriefHold(), time_limit=60.0, on_cycle=on_cycle)
     if not errors:
         raise MjtactileError("nothing was held")
     return np.array(errors)

@@ -51,7 +51,7 @@ def run(
         shutil.rmtree(out / "day", ignore_errors=True)
         (out / "commissioning.json").unlink(missing_ok=True)
     seeds = SEEDS[:1] if quick else SEEDS
-    with _hurried():
+    with _short_waits():
         day = Day(out, notify)
         day.step("grasp, before", lambda: day.grasps("dense", day.bare(), seeds))
         day.step("setup", day.set_up)
@@ -74,7 +74,7 @@ def run(
 
 
 @contextlib.contextmanager
-def _hurried() -> Iterator[None]:
+def _short_waits() -> Iterator[None]:
     before = [getattr(module, name) for module, name, _ in _HURRIED]
     slow = scaled_clock.slow()
     scaled_clock.set_slow(max(slow, SLOW))
@@ -93,7 +93,7 @@ def table(result: Mapping[str, Any]) -> str:
     lines = ["| step | result |", "|---|---|"]
     for row in result["steps"]:
         name = row["step"]
-        came = f"failed: {row['failed']}" if "failed" in row else _came(name, row)
+        came = f"failed: {row['failed']}" if "failed" in row else _describe_result(name, row)
         lines.append(f"| {_STEPS.get(name, name)} | {came} |")
     live = [row for row in result["steps"] if row["step"] not in ("record and fit", "shadow")]
     minutes = sum(row["seconds"] for row in live) / 60
@@ -112,7 +112,7 @@ _STEPS = {
 }
 
 
-def _came(step: str, row: Mapping[str, Any]) -> str:
+def _describe_result(step: str, row: Mapping[str, Any]) -> str:
     """Describe the result of a step in words."""
     if step.startswith("grasp"):
         means = [f"{left:+.3f}, {right:+.3f}" for left, right in row["mean_N"]]

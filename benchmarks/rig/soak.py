@@ -35,7 +35,7 @@ _FRAMES = 60  # cycles from one recorded image to the next: one a second
 
 
 @dataclass
-class Gripping:
+class RepeatedGrips:
     """Controller that grips with an estimated `force`, N, during the first 0.6 of each `period`, s.
 
     It releases for the remainder, and repeats without end.
@@ -94,7 +94,7 @@ class SoakBench(KeptBench):
         with Recorder(folder, {"controller": "soak", "fault": kind}, frames=_FRAMES) as recorder:
             outcome = drive(
                 bench,
-                Gripping(self._grip),
+                RepeatedGrips(self._grip),
                 lambda cycle: leg.add(cycle, recorder),
                 supervisor=leg.supervisor,
                 time_limit=self.leg + 60,
@@ -153,7 +153,7 @@ class _Leg:
         """
         rows = self._rows[np.isfinite(self._rows[:, 0])]
         intervals = np.diff(rows[:, 0])
-        estimated = rows[rows[:, 1] > 0.5 * Gripping.force, 0] - rows[:1, 0]
+        estimated = rows[rows[:, 1] > 0.5 * RepeatedGrips.force, 0] - rows[:1, 0]
         reaction = self.supervisor.reaction(self._injected)
         return {
             "fault": self._kind,

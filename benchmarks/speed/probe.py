@@ -62,7 +62,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
         timed(World, "step", "a step")
         # an older checkout has it in another file
         clocks = sys.modules[SimClock.__module__]
-        clocks.ThreadPoolExecutor = _AtOnce  # type: ignore[attr-defined]
+        clocks.ThreadPoolExecutor = _InlineExecutor  # type: ignore[attr-defined]
     moments: list[tuple[str, float, float]] = []
 
     def on_cycle(cycle: Any) -> None:
@@ -97,7 +97,7 @@ def main(rate: float, kind: str) -> dict[str, Any]:
     }
 
 
-class _AtOnce(ThreadPoolExecutor):
+class _InlineExecutor(ThreadPoolExecutor):
     """Executor that runs its tasks in the caller's thread."""
 
     def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:

@@ -29,7 +29,7 @@ from mjtactile.rig.as_built_sensor import true_design
 from mjtactile.rig.file import load_rig_file
 from mjtactile.runtime.controller import load_controller
 from mjtactile.runtime.session import Session
-from tests.emulated import at_pace
+from tests.emulated import slowed
 
 pytestmark = pytest.mark.clock
 
@@ -172,7 +172,7 @@ def test_calibration_of_two_fingers_that_differ_from_their_sensor_file(tmp_path,
     path = write_rig(tmp_path)
     sensor = ("--sensor", str(tmp_path / "slower.toml"))
     # most of the time is a minute of motion of the jaws and of pressure settling
-    with at_pace(2.0), client(path) as (emulator, file):
+    with slowed(2.0), client(path) as (emulator, file):
         calibrate_cameras(path, file)
         for arguments in (["valve", "--seal", "2"], ["frame"], ["force", "--load-cell"]):
             calibrate(file, emulator, monkeypatch, *arguments, *sensor)
@@ -199,7 +199,7 @@ def test_calibration_of_two_fingers_that_differ_from_their_sensor_file(tmp_path,
 
 @pytest.mark.slow(25)
 def test_calibration_of_servos_whose_torque_differs_from_the_data_sheet(tmp_path, monkeypatch):
-    with at_pace(2.0), client(write_rig(tmp_path)) as (emulator, file):
+    with slowed(2.0), client(write_rig(tmp_path)) as (emulator, file):
         calibrate(file, emulator, monkeypatch, "gripper")
     servos = json.loads((tmp_path / "gripper.json").read_text())["servo"]
     # data sheet of the XL330-M288

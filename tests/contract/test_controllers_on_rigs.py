@@ -26,7 +26,7 @@ from mjtactile.runtime.grasp_scoring import GraspScore
 from mjtactile.runtime.session import Session
 from mjtactile.sim import ground_truth
 from mjtactile.sim.rig import build_sim_rig
-from tests.emulated import at_pace
+from tests.emulated import slowed
 from tests.patient import DESIGN, SIMULATED, SLOW_CAMERA_DESIGN, patient_rig_file
 
 FIRMER_EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "firmer_in_the_air.py"
@@ -111,7 +111,7 @@ def test_gentle_lifts_an_egg(name, tmp_path):
 @pytest.fixture
 def half_speed():
     """Provide an emulator with all images at half the speed of real time."""
-    with at_pace(2 * scaled_clock.slow()):
+    with slowed(2 * scaled_clock.slow()):
         process = EmulatorProcess(load_rig_file("emulated"), DESIGN, object_name="egg", seed=0)
         yield process
         process.close()

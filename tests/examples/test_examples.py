@@ -102,7 +102,7 @@ def test_touch_in_dm_control(capsys):
     assert "estimated 0." in capsys.readouterr().out
 
 
-def modelled_after_a_2f85(path):
+def write_model_like_2f85(path):
     """Write a four-bar gripper with the names, directions and command range of a 2F-85."""
     pad = '<body name="{0}_pad" pos="0.0096 0 0.00125" euler="0 0 -90"/></body>\n</body>'
     xml = TWO_FINGERS.replace("<worldbody>", '<worldbody><frame pos="0 0 0.073">')
@@ -123,7 +123,7 @@ def modelled_after_a_2f85(path):
 def test_touch_on_hands(tmp_path):
     """Estimates are within 3 %, or two standard deviations of an image; membranes within 5 %."""
     example = run("touch_on_hands")
-    hand = partial(example.robotiq, modelled_after_a_2f85(tmp_path / "2f85.xml"))
+    hand = partial(example.robotiq, write_model_like_2f85(tmp_path / "2f85.xml"))
     true = []
     for effects in ("auto", "-mesh"):
         force, flags, _ = example.hold(hand, example.BALL, 126, effects)

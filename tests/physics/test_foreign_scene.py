@@ -21,7 +21,7 @@ BESIDE = "1 0 0.5"
 ABOVE = "0 0 0.448"
 
 
-def theirs(*, place=BESIDE, bits=1, option="", flag="contact='enable'", size=""):
+def foreign_scene(*, place=BESIDE, bits=1, option="", flag="contact='enable'", size=""):
     spec = mujoco.MjSpec.from_string(
         FOREIGN_SCENE.format(place=place, bits=bits, option=option, flag=flag, size=size)
     )
@@ -69,7 +69,7 @@ def bulge(sensor):
     ],
 )
 def test_recommended_options_list_their_changes_and_then_support_a_sensor(changes, reported):
-    spec, changed = theirs(**changes)
+    spec, changed = foreign_scene(**changes)
     assert all(any(words in line for line in changed) for words in reported)
     assert configure_options(spec) == ()
     attach_membrane(spec, "dense", site="tip")
@@ -78,7 +78,7 @@ def test_recommended_options_list_their_changes_and_then_support_a_sensor(change
 def test_an_objects_contact_bits_do_not_matter():
     depths = []
     for bits in (1, 2, 1 << 20):
-        spec, _ = theirs(place=ABOVE, bits=bits)
+        spec, _ = foreign_scene(place=ABOVE, bits=bits)
         model, data, sensor = bound(spec, attach_membrane(spec, "dense", site="tip"))
         sensor.open_valve()
         settle(model, data, sensor)
@@ -95,11 +95,11 @@ def test_a_site_that_cannot_carry_a_sensor_is_refused():
     with pytest.raises(InputError, match="site: 'tip' is on the mocap body 'ghost'"):
         attach_membrane(spec, "dense", site="tip")
     with pytest.raises(InputError, match="site"):
-        attach_membrane(spec, "dense", site=theirs()[0].site("tip"))  # of another scene
+        attach_membrane(spec, "dense", site=foreign_scene()[0].site("tip"))  # of another scene
 
 
 def test_keyframes_keep_their_joints():
-    spec, _ = theirs()
+    spec, _ = foreign_scene()
     attach_membrane(spec, "dense", site="tip")
     model = spec.compile()
     places = [
@@ -110,14 +110,14 @@ def test_keyframes_keep_their_joints():
 
 
 def test_a_sensor_on_a_weightless_robot_is_weightless():
-    spec, _ = theirs()
+    spec, _ = foreign_scene()
     attach_membrane(spec, "dense", site="tip", prefix="it/")
     model = spec.compile()
     assert model.body_gravcomp[model.body("it/sensor").id] == 1.0
 
 
 def test_a_saved_scene_can_be_loaded_and_bound_again():
-    spec, _ = theirs()
+    spec, _ = foreign_scene()
     attachment = attach_membrane(spec, "dense", site="tip")
     model, data, sensor = bound(spec, attachment)
     again = bound(mujoco.MjSpec.from_string(spec.to_xml()), attachment)
@@ -129,7 +129,7 @@ def test_a_saved_scene_can_be_loaded_and_bound_again():
 
 
 def test_binding_again_while_a_sensor_sleeps_starts_from_an_awake_model():
-    spec, _ = theirs()
+    spec, _ = foreign_scene()
     attachment = attach_membrane(spec, "dense", site="tip")
     model, data, sensor = bound(spec, attachment)
     names = (

@@ -24,7 +24,7 @@ RIM = 0.0065  # radius of a flat face that presses at its rim, m
 PAIR = ((-0.009, 0.002), (0.009, -0.002))
 
 
-class Truth:
+class GroundTruth:
     """Ground truth of the paper's membrane as triangles: at rest, under one oblique patch, and
     under two patches."""
 
@@ -79,7 +79,7 @@ def make_markers(p, noise=6e-6, n=None):
 
 @pytest.fixture(scope="module")
 def truth():
-    return Truth()
+    return GroundTruth()
 
 
 @pytest.fixture(scope="module", params=["dense", "paper16"])

@@ -12,11 +12,11 @@ from mjtactile.sim.rendering.renderer import Renderer, _brush
 
 
 @dataclass
-class Keeper:
+class ArrayHolder:
     kept: Any
 
 
-Keeper.__module__ = "mjtactile.keeper"
+ArrayHolder.__module__ = "mjtactile.keeper"
 
 
 def test_counted_operations():
@@ -26,7 +26,7 @@ def test_counted_operations():
         np.arange(3),
     )
     # the same arrays count once
-    assert denormals.count(Keeper({"a": [tiny], "b": Keeper(tiny)})) == 3
+    assert denormals.count(ArrayHolder({"a": [tiny], "b": ArrayHolder(tiny)})) == 3
 
 
 def test_shipped_sensors_have_no_denormals():

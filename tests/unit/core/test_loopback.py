@@ -56,7 +56,7 @@ REFUSED = {
 }
 
 
-def asked(gate, message, **more):
+def reply_to(gate, message, **more):
     """Return the answer to a message over the gate."""
     with connect(f"ws://127.0.0.1:{gate.port}", additional_headers=headers(**more)) as client:
         client.send(message)
@@ -65,13 +65,13 @@ def asked(gate, message, **more):
 
 @pytest.mark.parametrize("kind", [name for name in ACCEPTED if "tunnel" not in name])
 def test_an_accepted_connection_is_passed_on_unchanged(gate, kind):
-    assert asked(gate, "x" * 300_000, **ACCEPTED[kind]) == "x" * 300_000
+    assert reply_to(gate, "x" * 300_000, **ACCEPTED[kind]) == "x" * 300_000
 
 
 @pytest.mark.parametrize("kind", [name for name in REFUSED if "Host" not in REFUSED[name]])
 def test_a_connection_of_another_page_is_refused(gate, kind):
     with pytest.raises(InvalidHandshake, match="403"):
-        asked(gate, "x", **REFUSED[kind])
+        reply_to(gate, "x", **REFUSED[kind])
 
 
 def raw(gate, head):
@@ -107,7 +107,7 @@ def test_an_endless_request_is_cut_off(gate):
             assert end.recv(1) == b""
         except ConnectionError:
             pass
-    assert asked(gate, "x") == "x"
+    assert reply_to(gate, "x") == "x"
 
 
 @pytest.mark.parametrize("kind", ACCEPTED)

@@ -14,12 +14,12 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.errors import InputError
 from mjtactile.devices.rig import build_device_rig
 from mjtactile.rig.file import load_rig_file
-from tests.emulated import at_pace
+from tests.emulated import slowed
 
 
 @pytest.fixture
 def five():
-    with at_pace(5.0):
+    with slowed(5.0):
         yield
 
 

@@ -109,7 +109,7 @@ def close_until(gripper, condition):
         scaled_clock.sleep(0.005)
 
 
-def die(bench, jaws, gripper):
+def stop_host(bench, jaws, gripper):
     """Stop the host and wait until the watchdogs have tripped."""
     gripper._closed.set()  # without keep-alive requests and without a shutdown
     gripper._keeper.join()
@@ -127,7 +127,7 @@ def test_grip_force_does_not_increase_after_the_host_stops(kind):
     """
     with gripper_rig(kind, touch=START - 0.008) as (bench, jaws, gripper):
         close_until(gripper, lambda: min(jaws.forces()) > 0.9 * FORCE)
-        die(bench, jaws, gripper)
+        stop_host(bench, jaws, gripper)
         forces = jaws.forces()
         if kind == "limp":
             assert max(forces) == pytest.approx(0.0, abs=0.02)
@@ -147,7 +147,7 @@ def test_a_moving_gripper_stops_without_its_host(kind):
         known = gripper.geometry.opening(
             {servo: ticks for servo, (ticks, _) in gripper.positions.items()}
         )
-        die(bench, jaws, gripper)
+        stop_host(bench, jaws, gripper)
         assert jaws.opening > known - LEAD - 2 * RADIUS * 2 * math.pi / 4096  # a tick of each
         if kind == "goes on":
             # that is where its goal was

@@ -80,7 +80,7 @@ def test_two_lost_replies_are_tolerated_and_two_cycles_are_not(bench):
         gripper.close()
 
 
-def lose_a_reply(bench, servo):
+def drop_next_reply(bench, servo):
     """Drop the next reply of that servo; return a list that has an entry when the reply was due."""
     reply = bench.bus._status
     dropped = []
@@ -97,7 +97,7 @@ def lose_a_reply(bench, servo):
 
 def test_the_first_reply_on_a_new_port_may_be_lost(bench):
     """Adapters lose a packet when they are opened, and a busy computer is late."""
-    dropped = lose_a_reply(bench, 1)
+    dropped = drop_next_reply(bench, 1)
     bench.gripper(reply_timeout=0.05).close()
     assert dropped
 
@@ -107,7 +107,7 @@ def test_a_damaged_reply_is_requested_again_in_the_same_cycle(bench):
     try:
         before = gripper.state()
         bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
-        dropped = lose_a_reply(bench, 2)
+        dropped = drop_next_reply(bench, 2)
         after = gripper.state()
         assert dropped
         assert after.opening - before.opening == pytest.approx(0.012 * 0.5, abs=2 * 0.012 * TICK)

@@ -286,7 +286,7 @@ def test_an_unknown_request_is_an_error_and_the_board_continues(line):
     assert firmware.reply(b"close;1;\xff", 0.0) is None
 
 
-class Still:
+class ConstantChambers:
     """Chambers that keep their given pressure."""
 
     def __init__(self):
@@ -308,7 +308,7 @@ def test_the_state_for_a_late_host_depends_on_its_hold_time(hold):
 
     The test supplies the clock; the heartbeat is 0.5 s.
     """
-    chambers = Still()
+    chambers = ConstantChambers()
     firmware = emulated.ValveFirmware(chambers, emulated.Faults())
     for text in ("beat 500", f"hold {hold}"):
         firmware.reply(emulated.framed(f"1 {text}").rstrip(), 0.0)

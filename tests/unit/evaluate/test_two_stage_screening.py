@@ -15,7 +15,7 @@ FAILS_WHEN_CHEAP = {3, 8, 11}
 FAILS_IN_FULL = {3, 8, 14}
 
 
-def pretended(episode):
+def synthetic_line(episode):
     """Return a line without a grasp: episodes 3 and 8 fail at both levels, 11 only at the cheap
     level, 14 only in full."""
     cheap = "-pipeline" in episode.scenario.effects
@@ -32,7 +32,7 @@ def pretended(episode):
 def run(folder, sample, *, resume=False):
     return two_stage_screening.screen(
         folder, Scenario(), sample=sample, controllers=["gentle"], count=20, objects=["egg"],
-        running=Running(workers=1, run_one=pretended, resume=resume),
+        running=Running(workers=1, run_one=synthetic_line, resume=resume),
     )  # fmt: skip
 
 

@@ -40,14 +40,14 @@ def grasping(view):
     scenario = mjtactile.Scenario(rig="sim", object="egg")
     cycles = []
 
-    class Keep(mjtactile.Observer):
+    class CycleCollector(mjtactile.Observer):
         def add(self, cycle, scene=None, **truth):
             cycles.append(cycle)
 
     with open_session(scenario, workers=0) as session:
         view.start(session)
         session.take_references(view)
-        session.run(Monitor(0.1), time_limit=5.0, observer=Keep(), on_cycle=view.add)
+        session.run(Monitor(0.1), time_limit=5.0, observer=CycleCollector(), on_cycle=view.add)
     view.close()
     return cycles
 

@@ -12,7 +12,7 @@ from mjtactile.sensing.settings import DEFAULTS
 from tests.numpy_pipeline import edges as numpy_edges
 
 
-def photograph(radius):
+def render_dots(radius):
     """Return an image of 30 dots, one of them with glare, and their centers; 16 times
     oversampled."""
     rng = np.random.default_rng(2)
@@ -36,7 +36,7 @@ def photograph(radius):
 def test_ellipses_are_those_of_numpy(radius, blur_sd):
     """The steps of each marker end separately in the kernel. Two more follow: the results differ by
     less than a tenth of their standard deviation."""
-    image, center = photograph(radius)
+    image, center = render_dots(radius)
     start = center + np.random.default_rng(3).uniform(-0.5, 0.5, center.shape)
     shape = np.tile([1.1 * radius, 0.0, radius], (len(center), 1))
     fits = []
@@ -58,7 +58,7 @@ def test_ellipses_are_those_of_numpy(radius, blur_sd):
 @pytest.mark.parametrize("robust", [False, True])
 def test_equations_of_gamma_are_those_of_numpy(robust):
     """Sums of 400 products in single precision, relative to the norms of their factors."""
-    image, center = photograph(9.0)
+    image, center = render_dots(9.0)
     shape = np.tile([9.4, 0.1, 9.0], (len(center), 1))
     around = NeighborMarkers.of(center, shape, len(center), 5.0, DEFAULTS.edges)
     pixels, _, origin = edge_fit.gather(image, center, shape, around, 5.0)
@@ -77,7 +77,7 @@ def test_equations_of_gamma_are_those_of_numpy(robust):
 
 
 def test_a_marker_outside_the_image_has_no_pixels():
-    image, center = photograph(3.0)
+    image, center = render_dots(3.0)
     center = np.array([center[0], [-500.0, 20.0]])
     fit = edge_fit.fit(image, center, np.tile([3.0, 0.0, 3.0], (2, 1)))
     assert abs(fit.center[0, 0] - center[0, 0]) < 0.1

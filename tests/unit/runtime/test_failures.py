@@ -106,7 +106,7 @@ def test_a_loop_without_memory_sets_down():
     assert "no memory is left" in message and world.has_set_down()
 
 
-def past_its_checks(**values):
+def unchecked_command(**values):
     """Change a Command without its own checks."""
 
     def change(command):
@@ -117,20 +117,20 @@ def past_its_checks(**values):
     return change
 
 
-class Unmade(Command):
+class UninitializedCommand(Command):
     """Command without initialization."""
 
     opening = property(lambda self: 1 / 0)  # type: ignore[assignment]
 
 
 BAD_COMMANDS = {
-    "opening that is no number": past_its_checks(opening=math.nan),
-    "opening that is text": past_its_checks(opening="wide"),
-    "force limit beyond floats": past_its_checks(force_limit=10**400),
-    "phase that is none": past_its_checks(phase="fly"),
-    "phase that is a list": past_its_checks(phase=["hold"]),
-    "memory that is a number": past_its_checks(memory=5),
-    "subclass whose values raise": lambda command: object.__new__(Unmade),
+    "opening that is no number": unchecked_command(opening=math.nan),
+    "opening that is text": unchecked_command(opening="wide"),
+    "force limit beyond floats": unchecked_command(force_limit=10**400),
+    "phase that is none": unchecked_command(phase="fly"),
+    "phase that is a list": unchecked_command(phase=["hold"]),
+    "memory that is a number": unchecked_command(memory=5),
+    "subclass whose values raise": lambda command: object.__new__(UninitializedCommand),
     "no command": lambda command: SimpleNamespace(opening=0.0),
 }
 

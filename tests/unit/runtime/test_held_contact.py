@@ -15,7 +15,7 @@ from mjtactile.sensing.settings import DEFAULTS
 from mjtactile.sensing.stateful_pipeline import StatefulPipeline
 
 
-class Fitted(StatefulPipeline):
+class FittedPipeline(StatefulPipeline):
     """Pipeline that records its calls and returns one shape."""
 
     def __init__(self, kind="smooth", misfit=0.9):
@@ -47,7 +47,7 @@ def test_the_shape_in_the_last_image_of_the_hold_is_reported():
         ("release", 0.2, "smooth"),
     ):
         contacts.add(cycle(phase, force, 0.0, shape=of_kind(kind)))
-    fingers = [Fitted(), Fitted()]
+    fingers = [FittedPipeline(), FittedPipeline()]
     found, other = contacts.estimate(fingers)
     assert other is None  # it never touched
     assert not any(finger.asked for finger in fingers)
@@ -59,7 +59,7 @@ def test_the_shape_in_the_last_image_of_the_hold_is_reported():
 def test_a_history_that_does_not_explain_the_hold_is_discarded():
     contacts = HeldContacts()
     contacts.add(cycle("hold", 0.6, shape=of_kind("flat", misfit=3.3)))
-    finger = Fitted()
+    finger = FittedPipeline()
     (found,) = contacts.estimate([finger])
     assert finger.asked == [[0.6]]
     assert found["kind"] == "smooth" and found["misfit"] == 0.9
@@ -74,7 +74,7 @@ def test_the_area_of_a_shape_that_explains_little_is_that_of_the_traction():
     contacts.add(
         SimpleNamespace(touch=(replace(touch, contact=patch),), sent=SimpleNamespace(phase="hold"))
     )
-    (found,) = contacts.estimate([Fitted("smooth", misfit=4.0)])
+    (found,) = contacts.estimate([FittedPipeline("smooth", misfit=4.0)])
     assert found["kind"] == "flat" and found["area_mm2"] == pytest.approx(90)
     np.testing.assert_allclose(found["area_interval_mm2"], [40, 160])
 
@@ -83,7 +83,7 @@ def test_an_unknown_shape_stays_unknown():
     shape = ContactShape("unknown", dict.fromkeys(SHAPES, np.nan))
     contacts = HeldContacts()
     contacts.add(cycle("hold", 0.4, shape=shape))
-    finger = Fitted()
+    finger = FittedPipeline()
     (found,) = contacts.estimate([finger])
     assert not finger.asked and found["kind"] == "unknown" and np.isnan(found["area_mm2"])
 

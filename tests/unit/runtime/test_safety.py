@@ -361,7 +361,7 @@ def test_stuck_jaws_after_a_controller_that_raises_are_reported_and_recorded():
     facts = {}
     reported = []
 
-    class Notes(Observer):
+    class NoteObserver(Observer):
         def note(self, **new):
             facts.update(new)
 
@@ -373,7 +373,7 @@ def test_stuck_jaws_after_a_controller_that_raises_are_reported_and_recorded():
         raise ControllerError("boom")
 
     world = World()
-    _, message = world.run("", controller=fails, error=ControllerError, observer=Notes())
+    _, message = world.run("", controller=fails, error=ControllerError, observer=NoteObserver())
     assert message == "boom"
     assert reported == [f"not verified safe: {facts['not_verified_safe']}"]
     assert facts["not_verified_safe"].startswith("the jaws are at 50.0 mm instead of 65.0 mm")

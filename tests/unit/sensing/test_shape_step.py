@@ -20,7 +20,7 @@ def standing(residual):
     )
 
 
-def asked(scale, seed):
+def step_problem(scale, seed):
     """Return a step on an image of 20 markers, and its least-squares problem: (rows, right
     sides)."""
     rng = np.random.default_rng(seed)
@@ -35,7 +35,7 @@ def asked(scale, seed):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_short_step_equals_gauss_newton_and_predicts_its_gain(seed):
-    step, rows, sides = asked(0.1, seed)
+    step, rows, sides = step_problem(0.1, seed)
     best = np.linalg.lstsq(rows, sides, rcond=None)[0]
     np.testing.assert_allclose(step.by, best, rtol=1e-9)
     gained = sides @ sides - np.square(rows @ step.by - sides).sum()
@@ -45,7 +45,7 @@ def test_a_short_step_equals_gauss_newton_and_predicts_its_gain(seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_a_long_step_stays_where_membranes_are_straight(seed):
     """Bounds as written in stepping.py; nearly as good as the best step within them."""
-    step, rows, sides = asked(30.0, seed)
+    step, rows, sides = step_problem(30.0, seed)
     maximum = np.array([1.5, 1.5, 0.5, 0.6 * 100.0]) / BALL.sd
     assert (np.abs(step.by) <= maximum * (1 + 1e-12)).all()
     gained = sides @ sides - np.square(rows @ step.by - sides).sum()

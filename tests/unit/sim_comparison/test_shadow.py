@@ -172,7 +172,7 @@ def test_a_leak_is_named(tmp_path):
     assert named(shadow).amounts[0] == pytest.approx(0.05 * ML_S_KPA, rel=0.15)
 
 
-class Begins:
+class FirstSeconds:
     """Shipped controller for the compared part of the recording."""
 
     def __init__(self, seconds):
@@ -197,7 +197,7 @@ def test_a_leaking_left_chamber_of_a_gripper_is_named(tmp_path):
         session = Session(rig, threads=0)
         with Recorder(tmp_path / "recording", scenario.header(), frames=0) as recorder:
             session.take_references(recorder)
-            session.run(Begins(UNTIL + 0.1), time_limit=60.0, observer=recorder)
+            session.run(FirstSeconds(UNTIL + 0.1), time_limit=60.0, observer=recorder)
             recorder.close(outcome="recorded")
     finally:
         rig.close()

@@ -41,10 +41,10 @@ def test_a_window_without_a_display_is_one_line_with_a_remedy(monkeypatch):
 def test_missing_features_of_mujocos_window_are_named(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":9")
 
-    def lacking(name):
+    def missing_module(name):
         raise ImportError("no library of that name")
 
-    monkeypatch.setattr(serve.importlib, "import_module", lacking)
+    monkeypatch.setattr(serve.importlib, "import_module", missing_module)
     with pytest.raises(
         MjtactileError, match=r"does not work here \(no library of that name\): omit --native"
     ):
@@ -82,14 +82,14 @@ def test_a_used_port_is_refused_before_the_viewer_starts():
 def test_a_viewer_that_fails_ends_the_session_with_an_error(monkeypatch):
     """Its error is raised with exit code 3, not printed with exit code 0."""
 
-    class Failing:
+    class FailingViewer:
         def __enter__(self):
             raise RuntimeError("no free\nport")
 
         def __exit__(self, *_):
             pass
 
-    monkeypatch.setattr(serve, "launch", lambda config, plugins: Failing())
+    monkeypatch.setattr(serve, "launch", lambda config, plugins: FailingViewer())
     with pytest.raises(MjtactileError, match="Studio ended: RuntimeError: no free port") as error:
         serve.watch(SessionBridge(), browser=False, wait=True)
     assert error.value.exit_code == 3
