@@ -245,7 +245,7 @@ def test_with_json_an_error_is_one_json_object_too(command):
     assert report["exit_code"] == process.returncode == 2 and "stone" in report["error"]
 
 
-def test_an_output_folder_that_cannot_be_written_is_found_before_the_run(command, tmp_path):
+def test_an_unwritable_output_folder_is_refused_before_the_run(command, tmp_path):
     (tmp_path / "file").write_text("")
     process = command("grasp", "--out", "file/result")
     assert_one_line(process, ["file/result", "--out", "cannot be written"])

@@ -98,7 +98,9 @@ def without_cameras(text):
         (without_cameras, ("camera", "missing field")),
     ],
 )
-def test_two_fingers_of_one_name_and_no_fingers_are_refused(rig, tmp_path, capsys, change, words):
+def test_duplicate_finger_names_and_missing_fingers_are_refused(
+    rig, tmp_path, capsys, change, words
+):
     rig.write_text(change(rig.read_text()))
     assert main(["grasp", "--rig", str(rig), "--out", str(tmp_path / "out")]) == 2
     one_line(capsys, "rig.toml", *words)
@@ -128,7 +130,7 @@ def test_doctor_lists_missing_refused_and_outdated_files(rig, tmp_path, capsys):
     assert found["calibration of the gripper"]["level"] == "warn"
 
 
-def test_a_rig_that_names_no_file_states_where_to_write_one(capsys):
+def test_a_rig_without_a_calibration_file_states_where_to_name_it(capsys):
     assert main(["calibrate", "force", "--rig", "two_xm430", "--finger", "right"]) == 2
     one_line(capsys, "camera[1].calibration", 'calibration = "right.json"')
 

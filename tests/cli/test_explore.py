@@ -55,9 +55,7 @@ def test_a_recorded_press_has_the_position_of_the_indenter(capsys, tmp_path):
 
 @pytest.mark.slow(40)
 @pytest.mark.clock
-def test_an_emulated_gripper_grips_at_two_heights_and_its_recording_states_the_same(
-    capsys, tmp_path
-):
+def test_exploration_by_an_emulated_gripper_equals_that_of_its_recording(capsys, tmp_path):
     out = tmp_path / "egg"
     arguments = ["explore", "--rig", "emulated", "--object", "egg", "--time-scale", "4"]
     assert main([*arguments, "--touches", "2", "--out", str(out), "--json"]) == 0

@@ -127,7 +127,7 @@ def test_a_run_that_did_not_start_leaves_no_folder(tmp_path, capsys, monkeypatch
     assert not list(tmp_path.iterdir())
 
 
-def test_two_runs_into_one_folder_at_the_same_time(mjtactile, tmp_path):
+def test_two_concurrent_runs_into_one_folder(mjtactile, tmp_path):
     with ThreadPoolExecutor(2) as pool:
         runs = list(pool.map(lambda _: mjtactile(*RECORD, "--out", "both", "--json"), range(2)))
     good, refused = sorted(runs, key=lambda run: run.returncode)

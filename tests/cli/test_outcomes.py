@@ -40,7 +40,7 @@ def run(mjtactile, tmp_path, opening, force, *args):
     return process, json.loads(process.stdout)
 
 
-def test_a_grip_harder_than_the_egg_stands_crushes_it(command, tmp_path):
+def test_a_grip_above_the_breaking_force_crushes_the_egg(command, tmp_path):
     process, report = run(command, tmp_path, 0.02, 4.0)
     assert (process.returncode, report["outcome"]) == (1, "crushed")
     assert report["peak_force_true_N"] > 2.5  # the egg's break_force_N

@@ -34,7 +34,7 @@ def test_quick_figures_and_table(capsys, tmp_path):
     assert "0.39 mm" in table and "5b: sponge" in table
 
 
-def test_an_unknown_experiment_lists_the_known(capsys):
+def test_an_unknown_experiment_lists_the_choices(capsys):
     assert main(["experiments", "--only", "fig9"]) == 2
     error = capsys.readouterr().err
     assert "fig9" in error and "fig5a" in error and len(error.strip().splitlines()) == 1

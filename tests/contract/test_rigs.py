@@ -178,7 +178,7 @@ def test_state_is_finite_and_within_the_limits(rig):
     assert abs(state.lift_height) < 1e-3  # the initial height
 
 
-def test_every_reading_reports_when_it_was_taken(rig):
+def test_every_reading_has_its_time(rig):
     images = [patient_read(camera, rig.clock, rig.period) for camera in rig.cameras]
     # a replay's first cycle starts with its first image after those of the references
     for _ in range(2):

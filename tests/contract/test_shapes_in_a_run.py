@@ -57,7 +57,7 @@ def test_a_controller_declares_its_inputs(tmp_path, controller):
 
 
 @pytest.mark.slow
-def test_shapes_are_the_same_bits_in_a_process(tmp_path, controller):
+def test_shapes_from_another_process_are_bit_identical(tmp_path, controller):
     recordings = []
     asked = replace(controller, reads=())
     unasked = replace(controller, function=_without, reads=())

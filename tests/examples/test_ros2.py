@@ -254,7 +254,7 @@ def test_the_node_publishes_the_estimates(ros):
     assert joints.name == ["opening", "lift"] and joints.position[0] == cycle.gripper.opening
 
 
-def test_a_force_that_is_not_known_is_not_published(ros):
+def test_an_unknown_force_is_not_published(ros):
     node = configured()
     cycle = fake_cycle(30)
     unknown = SimpleNamespace(traction=None, surface=None, age=0.0)

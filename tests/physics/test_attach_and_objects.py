@@ -110,7 +110,7 @@ def write(folder, text=None, **changes):
     return path
 
 
-def test_a_users_object_is_read(tmp_path):
+def test_an_object_of_a_user_is_read(tmp_path):
     item = load_object(write(tmp_path))
     assert (item.name, item.break_force, item.material) == ("thing", 2.0, "solid")
     assert item.grasp_height == pytest.approx(0.03)
@@ -152,7 +152,7 @@ def test_a_users_object_is_read(tmp_path):
         ),
     ],
 )
-def test_broken_objects_are_refused_by_file_and_field(tmp_path, changes, words):
+def test_invalid_objects_are_refused_by_file_and_field(tmp_path, changes, words):
     path = write(tmp_path, **changes)
     with pytest.raises(InputError) as caught:
         load_object(path)
@@ -161,7 +161,7 @@ def test_broken_objects_are_refused_by_file_and_field(tmp_path, changes, words):
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_object_lists_the_shipped_ones():
+def test_an_unknown_object_lists_the_shipped_objects():
     with pytest.raises(InputError, match=r"egg.*strawberry.*vial"):
         load_object("pineapple")
 

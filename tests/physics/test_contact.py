@@ -37,7 +37,7 @@ FINE = {
 
 
 @pytest.mark.parametrize("case", FINE)
-def test_default_force_is_the_converged_one(case):
+def test_default_force_equals_the_converged_force(case):
     (force, depth), _ = pressed(case[0], at=case[1])
     # the requirement is 3 %, and all eight cases meet it; friction depends on the path, and the
     # last bits of a processor change the force by 1 %

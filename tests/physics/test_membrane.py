@@ -52,7 +52,7 @@ def centre_height(world):
 
 @pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
 @pytest.mark.parametrize("aspect", C1)
-def test_small_bulge_is_the_pretensioned_membranes(aspect, poisson):
+def test_small_bulge_is_that_of_a_pretensioned_membrane(aspect, poisson):
     design = sensor(aspect, poisson)
     world = scene(design)
     pressure = 20.0  # w0 / a < 0.6 %: the cubic term is 1e-4 of the linear one

@@ -230,7 +230,7 @@ def test_the_stiffness_is_the_derivative_of_the_forces(outline):
 
 
 @pytest.mark.parametrize("design", [ROUND, ELLIPSE], ids=["round30", "ellipse"])
-def test_a_load_on_the_membrane_is_estimated_where_it_is(design):
+def test_a_load_on_the_membrane_is_estimated_at_its_position(design):
     """The markers are those of the same membrane under a known load, so that only the inverse can
     be wrong."""
     estimator = InverseMembrane(design)

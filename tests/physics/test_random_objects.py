@@ -62,7 +62,7 @@ def test_a_written_file_describes_the_object(seed):
     assert np.linalg.norm(body.xpos - [0, 0, item.grasp_height]) < 5e-4 and body.xmat[8] > 0.999
 
 
-def test_a_box_is_as_large_as_sampled_and_as_heavy_to_turn():
+def test_a_box_has_the_sampled_size_and_inertia():
     seed = next(seed for seed in SEEDS if random_object(seed).shape == "box")
     random = random_object(seed)
     model = read_spec(load_object(f"random:{seed}")).compile()

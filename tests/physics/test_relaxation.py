@@ -125,7 +125,7 @@ def test_a_load_cycle_gains_no_energy():
             assert work > 0
 
 
-def test_first_cycles_soften_and_later_ones_do_not():
+def test_only_first_cycles_soften():
     patch = Patch(Relaxation((), 0.3, 2e3))
     first = patch.stretched(0.02, STEP)
     top = patch.stretched(0.05, STEP)

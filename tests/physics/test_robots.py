@@ -112,7 +112,7 @@ def test_an_arm_lifts_straight_up_and_does_not_turn_the_gripper():
     assert abs(np.arccos(np.clip((np.trace(R_start[0].T @ path[-1][1][0]) - 1) / 2, -1, 1))) < 1e-3
 
 
-def test_an_arm_that_carries_its_own_weight_does_not_sag(tmp_path):
+def test_an_arm_with_gravity_compensation_does_not_sag(tmp_path):
     heavy = make(variant(tmp_path, "sim_arm", model=[(' gravcomp="1"', "")]))
     heavy.step(100)
     # 10 kg on servos of 4000 N m/rad would sink by 2 mm; the goals are ahead by that

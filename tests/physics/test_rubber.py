@@ -143,7 +143,7 @@ def test_simulated_press_equals_the_reference(number, pressure, depth):
     )
 
 
-def test_a_balloon_that_cannot_hold_its_pressure_reports_it():
+def test_a_pressure_beyond_the_rubber_limit_is_reported():
     """p R / (mu h) of a neo-Hookean disc has a maximum of about 1.8 (tests/physics/test_circle.py),
     12 kPa here."""
     assert np.isfinite(analytical_solutions.bulge_height(DENSE, 8e3)) and np.isnan(

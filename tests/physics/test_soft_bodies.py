@@ -89,7 +89,7 @@ def test_a_rigid_motion_is_a_pose_and_no_strain():
         (('young="20000"', 'young="0"'), ["young"]),
     ],
 )
-def test_broken_soft_bodies_are_refused(tmp_path, change, words):
+def test_invalid_soft_bodies_are_refused(tmp_path, change, words):
     path = tmp_path / "gel.xml"
     path.write_text(
         to_mjcf(
@@ -194,7 +194,7 @@ def slab(half_height: float, poisson: float = NU) -> tuple[SoftBody, float, floa
     return body, 0.023**2, 2 * (half_height - body.skin)
 
 
-def test_a_block_between_slippery_plates_meets_them_with_youngs_modulus_and_stores_the_work():
+def test_a_block_between_frictionless_plates_has_youngs_modulus_and_stores_the_work():
     body, area, height = slab(0.012)
     plates = Plates(body)
     for by in (1e-3, 3e-3):
@@ -221,7 +221,7 @@ def ritz(poisson: float, ratio: float) -> float:
     return lame + 2 * mu - 4 / 3 * lame * bulge
 
 
-def test_bonding_stiffens_the_more_the_flatter_the_block_and_not_without_poissons_effect():
+def test_stiffening_by_bonding_grows_with_flatness_and_needs_poissons_effect():
     strain = 0.03
     stiffness = []
     for half_height in (0.012, 0.006, 0.004):

@@ -294,7 +294,7 @@ def test_a_person_keeps_a_released_object_at_its_position():
     np.testing.assert_allclose(ground_truth.object_position(world), before, atol=1e-3)
 
 
-def test_an_object_touched_by_one_finger_is_not_pulled_and_stays_taken():
+def test_an_object_touched_by_one_finger_is_not_pulled_and_remains_released():
     """Two fingers hold an object; one does not, and a released object is not pulled again after a
     touch."""
     happens = DisturbanceSchedule(GraspWorld("paper16", "vial", mesh=MESH), [], 0.0)

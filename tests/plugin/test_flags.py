@@ -22,7 +22,7 @@ def scene(geom, x=0.0, z=0.15, **attaching):
     return model, data, mount.bind(model, data)
 
 
-def test_a_ball_on_the_membrane_is_weighed_and_nothing_is_flagged():
+def test_a_ball_on_the_membrane_is_weighed_without_a_flag():
     model, data, finger = scene(BALL, z=0.1245)
     mjtactile.step(model, data, [finger], nstep=200)
     # the support of a body at rest carries its weight; solver rows are accurate to a mN

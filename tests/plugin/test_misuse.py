@@ -93,7 +93,7 @@ def test_non_finite_values_are_refused_by_name():
 
 
 @pytest.mark.parametrize("name", ["mocap_pos", "gravity", "time"])
-def test_an_input_of_the_scene_that_is_not_finite_stops_it(name):
+def test_a_non_finite_input_stops_the_scene(name):
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec)
     spec.worldbody.add_site(name="tip")
@@ -131,7 +131,7 @@ def test_a_margin_or_a_negative_gap_is_noted(options, is_noted):
     assert noted == [True] * is_noted
 
 
-def test_two_sensors_at_one_place_are_refused():
+def test_two_sensors_at_the_same_position_are_refused():
     spec = mujoco.MjSpec()
     mjtactile.configure_options(spec)
     spec.worldbody.add_site(name="tip")
@@ -141,7 +141,7 @@ def test_two_sensors_at_one_place_are_refused():
         mounts[0].bind(model, mujoco.MjData(model))
 
 
-def test_a_scene_is_stepped_by_one_thread_at_a_time(bound):
+def test_only_one_thread_can_step_a_scene(bound):
     _, _, model, data, finger = bound
     with finger.exclusive(), pytest.raises(InputError, match="is stepped by another thread"):
         mjtactile.step(model, data, [finger])

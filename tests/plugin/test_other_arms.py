@@ -58,7 +58,7 @@ def held():
     )
 
 
-def test_the_ball_is_carried_and_estimated(held):
+def test_the_held_ball_is_estimated(held):
     true = [ground_truth.contact_force(held, number) for number in range(2)]
     rotations = [held.data.site(side).xmat.reshape(3, 3) for side in ("left", "right")]
     # statics: the ball's force on both membranes is its weight; it swings by less than 0.1 m/s^2

@@ -52,7 +52,7 @@ def test_a_thin_object_between_the_vertices_has_the_right_force_at_low_cost(
 
 
 @pytest.mark.slow
-def test_a_wire_is_held_where_two_vertices_share_it():
+def test_a_wire_between_two_vertices_is_held():
     wire = THIN_OBJECTS["wire of 0.3 mm radius"]
     forces = [press(wire, (1.6e-3, y), 0.1, turn=0.4).force for y in (0.0, 1e-3, 2e-3)]
     assert max(forces) < 1.2 * min(forces)  # the ends of the wire touch other slopes, too
@@ -115,7 +115,7 @@ def falling(kind, size, speed, height, **geom):
     return dict(finger.flags)
 
 
-def test_a_pin_that_falls_is_stopped_or_flagged():
+def test_a_falling_pin_is_stopped_or_flagged():
     found = falling("mjGEOM_CYLINDER", [5e-4, 5e-3, 0], 0.0, 0.03, mass=0.02)
     assert "'thing' went through" in found or "speed" in found or "small_feature" in found
 
@@ -136,7 +136,7 @@ def test_a_pin_through_triangles_or_vertices_stops_the_scene(monkeypatch):
         press(pin, (1.5e-3, 1.5e-3), 0.05, contact="vertices")
 
 
-def test_objects_that_pass_between_vertices_are_reported_when_the_scene_is_built(monkeypatch):
+def test_objects_that_pass_between_vertices_are_reported_at_construction(monkeypatch):
     monkeypatch.setattr("mjtactile.sim.sensor.ray_intersection.entry_of", lambda *_: None)
     spec, mount = scene('<geom name="peg" type="cylinder" size="0.001 0.01"/>', contact="vertices")
     model = spec.compile()
@@ -144,7 +144,7 @@ def test_objects_that_pass_between_vertices_are_reported_when_the_scene_is_built
 
 
 @pytest.mark.parametrize("contact", ["elements", "both"])
-def test_a_blade_that_triangles_would_miss_is_refused_by_name(contact):
+def test_a_blade_missed_by_triangles_is_refused_by_name(contact):
     spec, mount = scene('<geom name="blade" type="box" size="2e-4 6e-3 5e-3"/>', contact=contact)
     model = spec.compile()
     with pytest.raises(InputError, match="triangles would miss 'blade'"):

@@ -80,7 +80,7 @@ def test_a_sensor_starts_inflated_sealed_and_at_rest():
     assert finger.gauge_pressure == pytest.approx(pressure, abs=1.0)
 
 
-def test_images_are_rendered_when_they_are_due():
+def test_images_are_rendered_at_their_rate():
     s = scene(gravity=0.0)
     finger = s.fingers[0]
     times = []
@@ -115,7 +115,7 @@ def test_binding_again_is_a_fresh_start_also_while_a_sensor_sleeps():
     assert again.gauge_pressure == s.fingers[0].gauge_pressure
 
 
-def test_a_forgotten_step_is_reported_and_not_estimated():
+def test_a_missing_step_is_reported_and_not_estimated():
     s = scene(sites=("here", "there"))
     mujoco.mj_step(s.model, s.data, 5)
     with pytest.raises(InputError, match=r"'here'.*is at 0 s.*0\.02 s.*mjtactile\.step"):

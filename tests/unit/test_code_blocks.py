@@ -184,7 +184,7 @@ def test_a_shell_line_names_existing_commands(page, line, monkeypatch, tmp_path)
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page.parent.name != "decisions"], ids=name_of
 )
-def test_commands_in_the_text_have_the_options_that_it_states(page):
+def test_options_in_the_text_exist(page):
     for text in INLINE.findall(page.read_text()):
         words = text.removeprefix("mjtactile ").replace("=", " ").split()
         assert words[0] in COMMANDS, text

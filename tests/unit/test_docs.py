@@ -212,7 +212,7 @@ ROOMS = r"core|kernels|sensing|sim|rig|run|devices"
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if "decisions" not in page.parts], ids=lambda page: page.name
 )
-def test_files_that_a_page_points_at_exist(page):
+def test_files_named_on_a_page_exist(page):
     """Files that a page mentions exist, except on decision pages, which state the past."""
     paths = re.findall(rf"`((?:{PLACES}|{ROOMS})/[\w./-]*\.\w+)`", page.read_text())
     there = [CHECKOUT / path for path in paths if "NAME" not in path]
@@ -221,7 +221,7 @@ def test_files_that_a_page_points_at_exist(page):
     assert gone == []
 
 
-def test_tables_that_contributing_points_at_are_where_it_states():
+def test_tables_named_in_contributing_exist():
     text = (CHECKOUT / "CONTRIBUTING.md").read_text()
     assert len(re.findall(rf"`(?:{PLACES})/[\w./-]*`", text)) > 40
     for table, file in re.findall(r"`([A-Z_]{5,})` in `(mjtactile/[\w/.]+)`", text):
@@ -244,7 +244,7 @@ def test_the_page_of_commands_has_each_with_an_example():
     assert set(re.findall(r"(?m)^    mjtactile ([\w-]+)", page)) == set(COMMANDS)
 
 
-def test_the_site_has_the_readme_the_decisions_and_the_complete_front_door():
+def test_the_site_has_readme_decisions_and_public_names():
     """The site has the README, the decisions and the whole public API.
 
     `make docs` adds them to the pages, and reports itself if they build with a warning.

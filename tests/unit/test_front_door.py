@@ -75,7 +75,7 @@ print("scipy" in sys.modules)
     assert loaded.strip() == "False"
 
 
-def test_the_package_states_that_it_is_typed():
+def test_the_package_is_marked_as_typed():
     assert (SOURCE.parent / "py.typed").exists()
 
 

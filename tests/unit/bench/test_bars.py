@@ -83,7 +83,7 @@ def test_far_estimates_are_counted_and_images_without_touch_are_not():
     assert groups["touches"]["worst"][2] == pytest.approx(6.0)
 
 
-def test_areas_are_compared_where_both_are_known():
+def test_areas_are_compared_if_both_are_known():
     rows = [
         image(np.zeros(6), area=20e-6, area_true=10e-6),
         image(np.zeros(6), area=10.5e-6, area_true=10e-6),

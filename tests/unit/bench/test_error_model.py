@@ -6,7 +6,7 @@ import pytest
 from benchmarks.learning import fit_error_model
 
 
-def test_one_grasp_with_ten_times_the_error_does_not_set_the_error_model():
+def test_an_outlier_grasp_does_not_dominate_the_error_model():
     """One finger with ten times the error does not determine the fitted standard deviation of all.
 
     Twenty fingers of sd 5 mN have 400 images each at 0.5 N. The logarithm of their factors has sd

@@ -14,7 +14,7 @@ REPORT = """<testsuites><testsuite>
 </testsuite></testsuites>"""
 
 
-def test_skipped_cases_are_not_run_and_failed_ones_are_named():
+def test_skipped_cases_are_not_run_and_failed_cases_are_named():
     counts = fault_injection.count(ET.fromstring(REPORT))
     assert counts == {"cases": 3, "passed": 1, "wrong": ["b[1]", "c"]}
     good = {"cases": 5, "passed": 5, "wrong": []}

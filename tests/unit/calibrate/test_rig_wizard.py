@@ -134,7 +134,7 @@ def test_another_servo_model_sets_its_torque_and_gain(tmp_path, monkeypatch):
         ("both", lambda pixels: pixels[::-1, ::-1]),
     ],
 )
-def test_one_press_in_a_corner_reports_how_an_image_is_flipped(flip, turned):
+def test_an_indentation_in_a_corner_determines_the_flip_of_the_image(flip, turned):
     """A rendered dent in the corner of largest x and y identifies the flip of an image."""
     design = load_sensor("dense")
     view = Renderer(design, seed=2)

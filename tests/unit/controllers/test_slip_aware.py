@@ -41,7 +41,7 @@ def run(command, estimated, count=1):
 HELD = Command(0.04, 4.0, 0.02, "lift")
 
 
-def test_a_slip_of_one_finger_raises_the_force_closes_and_stops_the_lift():
+def test_a_slip_of_a_finger_raises_the_force_and_stops_the_lift():
     calm = run(HELD, (touch(FIRST), touch(FIRST)))
     assert (
         calm.memory["target"] == FIRST

@@ -53,7 +53,7 @@ def test_a_path_that_is_not_a_file_is_one_line(tmp_path, monkeypatch, kind, how)
     assert "\n" not in str(caught.value)
 
 
-def test_the_largest_file_is_read_and_a_larger_one_is_not(tmp_path):
+def test_files_above_the_size_limit_are_refused(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(b"x" * 10)
     assert foreign_file.read_bytes(path, 10, "a file") == b"x" * 10

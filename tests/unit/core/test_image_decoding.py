@@ -58,7 +58,7 @@ FORMATS = (".jpg", ".bmp", ".pgm", ".ppm", ".webp", ".tif")
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_is_read_and_its_size_is_known_before(suffix):
+def test_every_format_is_read_after_a_check_of_its_size(suffix):
     """The size from the header is that of the pixels, for each format that is accepted."""
     pixels = np.random.default_rng(0).integers(0, 255, (37, 53, 3), np.uint8)
     data = bytes(cv2.imencode(suffix, pixels if suffix != ".pgm" else pixels[..., 0])[1])

@@ -56,7 +56,7 @@ def is_alive(pid):
     return False
 
 
-def test_a_child_answers_in_json_and_has_one_thread(child):
+def test_a_child_answers_in_json_and_has_a_single_thread(child):
     assert process.ask(child, "hello", "the child") == ["hello", ["1", "two"], "1"]
 
 

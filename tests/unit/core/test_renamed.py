@@ -18,7 +18,7 @@ def test_old_and_new_names_are_distinct():
     assert renamed.old_keys({"gas": {"polytropic_exponent": 1.0}}) == {"gas": {"heat_ratio": 1.0}}
 
 
-def test_an_old_file_key_is_refused_with_the_new_one():
+def test_an_old_file_key_is_refused_with_its_new_name():
     section = Section({"told": {}}, "", "my.toml")
     section.number("time_limit_s", 0, 1, default=None)
     with pytest.raises(InputError, match="`told` is now `goal`"):
@@ -45,7 +45,7 @@ def test_an_old_value_is_read_with_a_warning(caplog):
         (["effects", "--effects=-sheet"], "`sheet` is now `mesh`"),
     ],
 )
-def test_an_old_option_is_refused_with_the_new_one(capsys, words, text):
+def test_an_old_option_is_refused_with_its_new_name(capsys, words, text):
     assert main(words) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert text in line

@@ -31,7 +31,7 @@ def test_another_kind_of_file_is_refused_in_one_line(tmp_path, content, read, ki
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read_and_one_that_is_too_large_are_refused(tmp_path):
+def test_unreadable_and_too_large_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="cannot be read: Is a directory"):
         read_toml(tmp_path)
     with pytest.raises(InputError, match="cannot be read: No such file"):
@@ -48,7 +48,7 @@ def test_a_number_is_within_its_range_or_named(value):
         Section({"rate_Hz": value}, "bus", "f").number("rate_Hz", 0, 100)
 
 
-def test_a_missing_field_lists_the_present_ones():
+def test_a_missing_field_lists_the_present_fields():
     section = Section({"rate_kHz": 1, "portt": "a"}, "bus", "f")
     with pytest.raises(InputError, match="rate_Hz: missing field; there is 'rate_kHz': wrong unit"):
         section.number("rate_Hz", 0, 1)

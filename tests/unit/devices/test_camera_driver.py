@@ -147,7 +147,7 @@ def test_image_time_is_that_of_the_kernel(camera):
     assert 0.004 <= scaled_clock.monotonic() - image.time < 5.0  # captured 4 ms before it arrived
 
 
-def test_a_kernel_clock_that_is_not_the_monotonic_one_is_refused():
+def test_a_kernel_clock_other_than_the_monotonic_clock_is_refused():
     device = V4l2(clock_offset=1.7e9)
     with pytest.raises(DeviceError, match="not on the monotonic clock"):
         OpenCvCamera(CONFIG, capture=lambda: device)

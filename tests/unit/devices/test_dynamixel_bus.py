@@ -179,7 +179,7 @@ def test_an_unplugged_adapter_is_a_lost_port(bench, bus):
 
 
 @pytest.mark.clock
-def test_another_baud_rate_receives_nothing(bench):
+def test_another_baud_rate_receives_no_reply(bench):
     bus = DynamixelBus(bench.bus.path, 57600, reply_timeout=0.02)
     with pytest.raises(BusError, match="no reply"):
         bus.ping(1)

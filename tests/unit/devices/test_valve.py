@@ -167,7 +167,7 @@ def test_a_stuck_valve_is_an_error_unless_sealed_or_without_a_sensor(rig):
 
 
 @pytest.mark.clock
-def test_a_chamber_follows_its_command_and_is_sealed_without_one(rig):
+def test_a_chamber_follows_its_command_and_is_sealed_without_a_command(rig):
     """A chamber follows the commanded pressure, and without a command it is sealed at its pressure.
 
     The heartbeat's thread sends the commands: the loop does not wait for a board.

@@ -10,7 +10,7 @@ from mjtactile.devices.valve import protocol
 from mjtactile.emulator import valve as emulated
 
 
-def test_the_crc_is_the_one_of_ethernet():
+def test_the_crc_is_that_of_ethernet():
     """Its check value, and two implementations."""
     assert emulated.crc32(b"123456789") == zlib.crc32(b"123456789") == 0xCBF43926
     line = b"7 set 1 1000*%08X\n" % zlib.crc32(b"7 set 1 1000")

@@ -215,7 +215,7 @@ def test_a_worst_episode_is_run_again_and_rendered(tmp_path):
     assert render(Episode(0, bad), tmp_path / "other") is not None
 
 
-def test_plots_in_which_everything_is_held_are_folded():
+def test_plots_without_failures_are_folded():
     """Without a failure every bin has 100 %: all plots against randomized values are folded."""
     table = [line | {"outcome": "held"} for line in lines()]
     page = report.page(

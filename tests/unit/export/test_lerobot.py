@@ -159,7 +159,7 @@ def test_a_recording_without_images_is_exported_without_them(tmp_path, write):
     assert write([RecordedEpisode(tmp_path / "run")], tmp_path / "out")["frames"] == 3
 
 
-def test_repeated_estimates_equal_the_recorded_ones(estimated, tmp_path):
+def test_repeated_estimates_equal_the_recorded_estimates(estimated, tmp_path):
     episode = RecordedEpisode(estimated)
     lerobot.write([episode], tmp_path, images="none")
     kept = json.loads((tmp_path / "meta/mjtactile.json").read_text())["episodes"][0]

@@ -52,7 +52,7 @@ def grasping(view):
     return cycles
 
 
-def test_a_membrane_is_shown_where_it_is_estimated(press, tmp_path):
+def test_a_membrane_is_shown_at_its_estimated_position(press, tmp_path):
     mcap.write([RecordedEpisode(press)], tmp_path)
     found, _, _ = read_mcap(tmp_path / "episode_000000.mcap")
     touch = list(RecordedEpisode(press).cycles())[-1].touch[0]

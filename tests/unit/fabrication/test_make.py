@@ -239,7 +239,7 @@ def test_blur_is_that_of_similar_triangles_behind_a_thin_lens():
         assert camera_check.blur(DENSE, tools, stop, near, far) == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_marker_smears_as_much_as_stated():
+def test_motion_blur_of_a_marker_agrees_with_the_stated_value():
     plan = camera_check.plan_camera(DENSE, Hardware(speed=25.0), STATES, "dense")
     eye = optics.Camera.from_design(DENSE.camera, DENSE.glass)
     nearest = np.array([0.0, 0.0, DENSE.camera.distance - 0.004])
@@ -454,7 +454,7 @@ def test_elastic_markers_grow_with_the_membrane():
     assert growth(DENSE, [STATES[0], stretched]) == pytest.approx(0.03)
 
 
-def test_a_supply_that_the_membrane_does_not_hold_is_refused():
+def test_a_supply_pressure_beyond_the_membrane_limit_is_refused():
     with pytest.raises(
         InputError, match=r"supply_pressure_kPa: 60 exceeds the " r"stability limit.*at most"
     ) as error:
@@ -469,7 +469,7 @@ def test_a_supply_that_the_membrane_does_not_hold_is_refused():
     )
 
 
-def test_files_are_written_all_or_none(tmp_path):
+def test_files_are_written_completely_or_not_at_all(tmp_path):
     (tmp_path / "cad").write_text("in the way")
     with pytest.raises(InputError, match="cannot be written"):
         write({"a.md": b"a", "cad/b.stl": b"b"}, tmp_path)

@@ -96,7 +96,7 @@ def test_a_seed_is_the_same_episode_whatever_came_before(env):
         np.testing.assert_array_equal(roll(fresh, 3, actions)[0], first)
 
 
-def test_reset_compiles_nothing(env, monkeypatch):
+def test_reset_does_not_compile(env, monkeypatch):
     import mujoco
 
     monkeypatch.setattr(mujoco.MjSpec, "compile", None)  # would raise

@@ -37,7 +37,7 @@ def test_outputs_must_match_and_inputs_are_converted():
             kernel("circles_on_cones")(1, Q, np.ones(1), wrong)
 
 
-def test_a_bound_kernel_works_on_the_arrays_that_it_was_given():
+def test_a_bound_kernel_uses_the_given_arrays():
     p = np.array([[0.0, 0, 1], [1, 0, 1], [0, 1, 1]])
     triangles = np.array([[0, 1, 2]])
     gradient = np.empty((3, 3))

@@ -115,7 +115,7 @@ def test_the_lowest_point_of_an_obstacle_has_its_smallest_height(solver, kind):
         )
 
 
-def test_an_area_is_known_where_the_grid_determines_it(solver):
+def test_an_area_is_given_if_the_grid_determines_it(solver):
     top = solver.rest.heights.max() + solver.design.membrane.thickness / 2
     lying = Rotation.from_euler("x", np.pi / 2).as_matrix()
     ball = solver.solve(solver.obstacle("sphere", (12e-3,), (0, 0, top - 2.5e-3 + 12e-3)))

@@ -45,14 +45,14 @@ def ball(membrane, radius, at, height):
     )
 
 
-def test_rest_is_the_complete_membrane_s(fine):
+def test_equilibrium_is_that_of_the_complete_membrane(fine):
     # of the independent solution: 2.8699 mm, 1.68755 mL at 1 kPa; this grid is 0.04 and 0.25 % off, and falls with its square
     assert fine.rest.heights.max() == pytest.approx(2.8699e-3, rel=2e-3)
     assert fine.rest.volume == pytest.approx(1.68755e-6, rel=4e-3)
 
 
 @pytest.mark.parametrize("press", PRESSES)
-def test_a_ball_is_held_with_the_complete_membrane_s_force(fine, press):
+def test_force_of_a_ball_is_that_of_the_complete_membrane(fine, press):
     radius, at, force, pressure, height = press
     state = fine.solve(ball(fine, radius, at, height))
     assert state.converged
@@ -74,7 +74,7 @@ def other_designs():
 
 
 @pytest.mark.parametrize("case", other_designs())
-def test_other_membranes_and_pressures_are_the_complete_membrane_s(case):
+def test_other_membranes_and_pressures_agree_with_the_complete_membrane(case):
     membrane = benchmarks.quasistatic._membrane(case, (41, 31))
     state = membrane.solve(benchmarks.quasistatic._obstacle_of(membrane, case))
     # nodes are 1 mm apart, in the independent membrane 0.5 mm
@@ -135,7 +135,7 @@ def test_impossible_values_are_refused_in_one_line(coarse, kind, sizes, p_SO, me
     assert "\n" not in str(caught.value)
 
 
-def test_one_node_pulled_to_the_glass_is_beyond_the_rubber_s_law(coarse):
+def test_a_node_pulled_to_the_glass_exceeds_the_rubber_law(coarse):
     heights = np.full(coarse.grid, np.inf)
     heights[10, 8] = -0.018
     with pytest.raises(InputError, match="material model"):
@@ -221,7 +221,7 @@ def test_a_blade_is_not_lost_between_nodes(coarse, turn):
     assert np.ptp(forces) < (0.1 if turn else 0.03) * np.mean(forces)
 
 
-def test_a_turned_blade_touches_every_line_that_it_crosses(fine):
+def test_a_rotated_blade_touches_every_line_that_it_crosses(fine):
     """A rotated blade touches every grid line that it crosses.
 
     It crosses the last line half a spacing from its end, 0.3 spacings from a node.

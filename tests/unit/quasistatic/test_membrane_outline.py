@@ -81,7 +81,7 @@ def bodies(solver, R):
 
 
 @pytest.mark.parametrize("degrees", [20, 45])
-def test_a_turned_square_is_a_square(degrees):
+def test_a_rotated_square_is_a_square(degrees):
     """At 45 degrees it is symmetric as the film's matrices are, at 20 it is not."""
     design, R = turned_square(np.radians(degrees))
     count = 2 * round(design.frame.length / 2e-3) + 1

@@ -147,7 +147,7 @@ def test_estimates_are_read_back_with_their_shape(tmp_path):
 
 
 @pytest.mark.parametrize(("frames", "kept"), [(0, 0), (1, 10), (4, 3)])
-def test_frames_may_be_left_out_and_the_log_stays_complete(tmp_path, frames, kept):
+def test_images_may_be_omitted_and_the_log_is_complete(tmp_path, frames, kept):
     with Recorder(tmp_path, {}, frames=frames) as recorder:
         for i in range(10):
             recorder.add(fake_cycle(i))

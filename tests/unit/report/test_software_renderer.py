@@ -34,7 +34,7 @@ def test_the_surface_of_a_body(kind):
     assert found == pytest.approx(area, rel=1e-9 if kind == "box" else 0.03)
 
 
-def test_a_disc_covers_its_area_and_the_nearer_one_is_seen():
+def test_a_disc_covers_its_area_and_the_closer_disc_is_visible():
     angle = np.linspace(0, 2 * np.pi, 61)
     rim = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(61)])
     disc = np.stack([np.zeros((60, 3)), rim[:-1], rim[1:]], axis=1)

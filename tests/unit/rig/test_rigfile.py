@@ -102,7 +102,7 @@ def test_sections_that_do_not_fit_are_refused(table, change, message):
         rig_from_table(table, PATH)
 
 
-def test_an_unknown_rig_lists_the_known_ones():
+def test_an_unknown_rig_lists_the_choices():
     with pytest.raises(
         InputError,
         match=r"unknown rig 'simm'.*valid: emulated, .*sim, " r".*FILE\.toml, replay:FOLDER",

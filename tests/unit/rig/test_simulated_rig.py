@@ -26,7 +26,7 @@ def table():
 
 
 @pytest.mark.parametrize("name", SIMULATED)
-def test_the_shipped_ones_load_with_their_units(name):
+def test_shipped_files_load_with_their_units(name):
     rig = load_sim_rig(name)
     low, high = rig.gripper.opening
     assert 0 <= low < rig.gripper.start <= high < 0.2  # opening, m

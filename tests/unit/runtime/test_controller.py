@@ -25,7 +25,7 @@ def step(observation):
 """
 
 
-def test_a_dataclass_with_deferred_annotations_in_files_of_one_name(tmp_path):
+def test_dataclasses_with_deferred_annotations_in_files_of_equal_name(tmp_path):
     """A dataclass resolves the types of its fields in the names of its module."""
     loaded = []
     for name in ("a", "b"):

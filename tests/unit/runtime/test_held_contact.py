@@ -65,7 +65,7 @@ def test_a_history_that_does_not_explain_the_hold_is_discarded():
     assert found["kind"] == "smooth" and found["misfit"] == 0.9
 
 
-def test_the_area_of_a_shape_that_explains_little_is_that_of_the_traction():
+def test_a_shape_with_a_poor_fit_uses_the_area_of_the_traction():
     shape = ContactShape("flat", dict.fromkeys(SHAPES, 0.2), area=4e-5, misfit=3.3)
     mask = np.ones((2, 2), dtype=bool)
     patch = Contact(True, 9e-5, np.zeros(2), 1e-3, mask, area_interval=np.array([4e-5, 1.6e-4]))

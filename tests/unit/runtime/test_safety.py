@@ -33,7 +33,7 @@ def test_the_reason_of_a_command_passes_limits_and_processes():
 
 
 @pytest.mark.parametrize(("how", "height"), [("slid", 0.02), ("pushed", 0.01), ("hangs", 0.0)])
-def test_the_retreat_ends_where_the_held_object_stands(supervisor, how, height):
+def test_the_retreat_ends_when_the_held_object_stands(supervisor, how, height):
     """Until now a bottle that had slid down was driven into the table: down, then open."""
     slid = Slip("slipping", np.zeros(2), 0.02 if how == "slid" else 0.0, 0.0)
     last = Command(0.05, 4.0, 0.04, "hold")
@@ -61,7 +61,7 @@ def test_known_forces_do_not_change_the_command(supervisor):
     assert supervisor.state == "running"
 
 
-def test_unknown_force_neither_closes_nor_lifts(supervisor):
+def test_with_an_unknown_force_the_gripper_neither_closes_nor_lifts(supervisor):
     sent = supervisor.decide(
         0.1, Command(0.04, 4.0, 0.03, "hold"), LAST, (OK, BLIND), (SEALED, SEALED)
     )
@@ -165,7 +165,7 @@ def test_the_jaws_open_when_the_measured_height_is_low(supervisor):
     assert opened == pytest.approx(0.02 / RETREAT_SPEED + 1.0, abs=2 * PERIOD)
 
 
-def test_the_jaws_open_at_once_when_the_gripper_has_come_down_with_its_command(supervisor):
+def test_the_jaws_open_at_once_when_the_gripper_follows_its_command(supervisor):
     supervisor.make_safe("a fault", 0.0)
     last = LAST
     while last.opening == LAST.opening:

@@ -123,7 +123,7 @@ def test_a_flat_face_with_a_rim_has_its_own_area(sensor, radius_mm, depth_mm):
     assert shape.area == pytest.approx(np.pi * radius**2, rel=0.6e-3 / radius)
 
 
-def test_without_contact_nothing_is_reported(sensor):
+def test_without_contact_no_shape_is_reported(sensor):
     pipeline, state, _ = sensor
     still = touch_of(sensor, pipeline.inverse.positions(state.reference.rest.c))
     shape = shape_of(sensor, still)

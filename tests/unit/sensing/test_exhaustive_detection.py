@@ -194,7 +194,7 @@ def cut_discs(radius, cuts, seed=5):
 
 
 @pytest.mark.parametrize("radius", [6.0, 9.0, 14.0])
-def test_cut_discs_are_refused_and_complete_ones_are_not(radius):
+def test_only_cut_discs_are_refused(radius):
     image, centers, cut = cut_discs(radius, [0.0, 0.0, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6])
     found, _, deformed = detect_thoroughly(image)
     good = found.center_px[found.status == "ok"]

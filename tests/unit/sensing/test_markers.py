@@ -273,7 +273,7 @@ def test_an_empty_image_has_no_markers():
         assert not (ellipses.status == "ok").any()
 
 
-def test_bright_markers_are_dark_ones_inverted(circles):
+def test_bright_markers_are_inverted_dark_markers(circles):
     image = marker_scenes.image(CAMERA, circles)
     dark = markers.detect(image)
     bright = markers.detect(255 - image, polarity="bright")

@@ -79,7 +79,7 @@ def test_a_skew_quadric_is_placed_closer(forward):
     assert (np.abs(after) < 2 * np.sqrt(np.diag(found.cov))[:2]).all()
 
 
-def test_an_ellipsoid_taken_for_a_ball_has_two_curvatures(forward):
+def test_an_ellipsoid_fitted_as_a_ball_has_two_curvatures(forward):
     fitted, data = fit(forward, "ball", (110.0, 0.0, 75.0, 0.0, 0.0, 110.0))
     found = deviation(forward, fitted, data, 1.0)
     mean = fitted.theta[3] + found.theta[3]

@@ -90,7 +90,7 @@ def test_missing_markers_are_completed(start, presses):
     assert np.median(np.abs(off)[:, [5, 40, 41]]) < 5e-5
 
 
-def test_a_network_is_of_one_sensor_and_one_pressure():
+def test_a_network_belongs_to_one_sensor_and_pressure():
     design = load_sensor("dense")
     thicker = replace(design, membrane=replace(design.membrane, thickness=0.35e-3))
     assert fingerprint(design, SETTINGS) != fingerprint(thicker, SETTINGS)

@@ -79,7 +79,7 @@ def test_a_body_that_turns_on_the_spot_slips():
     assert not spins(motion(spinning=np.nan, spinning_sd=np.nan))
 
 
-def test_unknown_motion_changes_nothing():
+def test_unknown_motion_has_no_effect():
     unknown = Slip("unknown", np.full(2, np.nan), np.nan, np.nan)
     fast = motion((1.0, 0.0))
     assert with_motion(unknown, history(), fast)[0] is unknown

@@ -355,7 +355,7 @@ def test_the_detectable_force_is_that_of_the_membrane_and_the_camera(sensor):
 
 
 @pytest.mark.parametrize("name", ["dense", "paper16"])
-def test_a_soft_sensor_keeps_its_own_uncertainty(name):
+def test_a_soft_sensor_keeps_its_uncertainty(name):
     bench = VirtualBench(stiff(1.0, name))
     touch = bench.estimate_touch(bench.membrane.rest).touch
     assert bench.reference.min_force < 0.01
