@@ -116,10 +116,10 @@ class Studio:
             x, y = self._come_to(label, fraction, end)
             self.page.mouse("mousePressed", x, y, buttons=1)
             frames = self.ask()["frames"]
-            seen = self.until(
+            observed = self.until(
                 lambda f, frames=frames: f["active"] or f["frames"] > frames + 20, "a press is seen"
             )
-            if seen["active"] == label:
+            if observed["active"] == label:
                 break
             self.page.mouse("mouseMoved", *NOWHERE, buttons=1)
             self.page.mouse("mouseReleased", *NOWHERE)

@@ -157,8 +157,8 @@ def test_gentle_grasps_on_the_emulated_rig_and_commands_its_air(half_speed, tmp_
     assert min(heights) - 0.0315 == pytest.approx(0.04, abs=5e-3)
     # force at the capture times, N; measured errors: 0.007, at most 0.025
     moments, *true = np.array(truths).T
-    seen = np.array(estimated)
-    errors = [seen[:, k, 1] - np.interp(seen[:, k, 0], moments, true[k]) for k in (0, 1)]
+    observed = np.array(estimated)
+    errors = [observed[:, k, 1] - np.interp(observed[:, k, 0], moments, true[k]) for k in (0, 1)]
     assert np.nanmedian(np.abs(errors)) < 0.02
     pressures = load_recording(tmp_path).column("gauge_pressure")
     held = load_recording(tmp_path).columns["phase"] == "hold"

@@ -127,10 +127,10 @@ def test_an_error_keeps_its_class_and_the_next_image_is_evaluated(threads):
 def test_a_blocked_pipeline_reports_unknown_until_it_answers():
     go = threading.Event()
     answered = threading.Event()
-    seen = []
+    observed = []
 
     def blocked(image, now, reading=None):
-        seen.append(now)
+        observed.append(now)
         assert go.wait(300)
         answered.set()
         return estimated(image, now)
@@ -148,7 +148,7 @@ def test_a_blocked_pipeline_reports_unknown_until_it_answers():
         while both.perceive([IMAGE, IMAGE], 3.0)[1].status != "ok":
             pass
         # the blocked pipeline received no image, and no late answer was returned for a new request
-        assert seen[:2] == [1.0, 3.0]
+        assert observed[:2] == [1.0, 3.0]
 
 
 def test_threads_are_for_several_cameras_and_free_processors(monkeypatch):

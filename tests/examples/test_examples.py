@@ -308,9 +308,9 @@ def test_train_a_policy_reproduces_the_teacher():
     """The fit recovers a linear teacher; an input that never changed gets no weight."""
     example = run("train_a_policy")
     rng = np.random.default_rng(0)
-    seen = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0]
+    observed = rng.standard_normal((500, 6)) * [1, 10, 0.1, 1, 1, 0]
     w = rng.standard_normal((3, 6))
-    found, offsets = example.fit(seen, seen @ w.T + [0.1, 0.2, 0.3])
+    found, offsets = example.fit(observed, observed @ w.T + [0.1, 0.2, 0.3])
     # the ridge parameter of 1e-4 reduces the weights
     np.testing.assert_allclose(found[:, :5], w[:, :5], rtol=2e-3, atol=2e-3)
     np.testing.assert_allclose(offsets, [0.1, 0.2, 0.3], atol=2e-3)
@@ -324,8 +324,8 @@ def test_a_trained_policy_loads(tmp_path, monkeypatch):
     w = rng.standard_normal((3, 30))
 
     def record_grasp(_):
-        seen = rng.standard_normal((400, 30))
-        return seen, seen @ w.T
+        observed = rng.standard_normal((400, 30))
+        return observed, observed @ w.T
 
     monkeypatch.setitem(example.main.__globals__, "record_grasp", record_grasp)
     example.main(str(tmp_path / "policy.npz"), "2")

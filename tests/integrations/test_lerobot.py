@@ -133,7 +133,7 @@ def test_an_episode_is_recorded_and_replayed(tmp_path, monkeypatch):
 
     monkeypatch.setattr(robot_package.MjtactileRobot, "get_observation", kept)
     command(monkeypatch, lerobot_replay, *hand, *data, "--dataset.episode=0")
-    replayed = np.array([seen["finger1.force_normal_N"] for seen in again])
+    replayed = np.array([observed["finger1.force_normal_N"] for observed in again])
     held = height > 0.03
     # the same world; actions were kept with 24 bits, and where the jaws close the force grows by
     # 0.1 N from image to image

@@ -55,20 +55,20 @@ def test_randomized_grasps_follow_the_environment_on_the_cpu():
     how = {"object": "egg", "randomization": "default"}
     alone = [gymnasium.make(NAME, effects="-mesh,-pipeline", **how) for _ in range(2)]
     many = worlds(2, **how)
-    seen = np.stack([env.reset(seed=100 + k)[0] for k, env in enumerate(alone)])
+    observed = np.stack([env.reset(seed=100 + k)[0] for k, env in enumerate(alone)])
     _, info = many.reset(seed=100)
     assert info["seed"].tolist() == [100, 101]
     differences = []
     for _ in range(72):
-        actions = grasp(seen)
+        actions = grasp(observed)
         steps = [env.step(action) for env, action in zip(alone, actions, strict=True)]
-        seen = np.stack([step[0] for step in steps])
+        observed = np.stack([step[0] for step in steps])
         observation, *_ = many.step(actions)
         truth = many.unwrapped.truth()
-        lifts = seen[:, 23 + 3] > 0
+        lifts = observed[:, 23 + 3] > 0
         there = np.stack([step[4]["force_normal_true_N"] for step in steps])
         differences.append((truth["force_normal_true_N"] - there)[lifts])
-        np.testing.assert_allclose(np.asarray(observation)[:, 16], seen[:, 16], atol=6e-4)
+        np.testing.assert_allclose(np.asarray(observation)[:, 16], observed[:, 16], atol=6e-4)
     differences = np.concatenate(differences)
     assert len(differences) > 20
     assert abs(differences).max() < 0.015
@@ -117,11 +117,11 @@ def test_random_objects_in_one_batch_are_those_of_the_environment_on_the_cpu():
     assert [random_object(int(seed)).shape for seed in seeds] == ["bottle", "box", "cone"]
     how = {"effects": "-mesh,-pipeline"}
     alone = [gymnasium.make(NAME, object=f"random:{seed}", **how) for seed in seeds]
-    seen = np.stack([env.reset(seed=12 + k)[0] for k, env in enumerate(alone)])
+    observed = np.stack([env.reset(seed=12 + k)[0] for k, env in enumerate(alone)])
     for _ in range(52):
-        actions = grasp(seen)
+        actions = grasp(observed)
         steps = [env.step(action) for env, action in zip(alone, actions, strict=True)]
-        seen = np.stack([step[0] for step in steps])
+        observed = np.stack([step[0] for step in steps])
         many.step(actions)
     found = many.unwrapped.truth()["force_normal_true_N"]
     there = np.stack([step[4]["force_normal_true_N"] for step in steps])

@@ -273,8 +273,8 @@ def _through_glass(
     nx, ny, nz = n.transpose(2, 0, 1)[:, :, None]
     # point on a ray that starts at `shift`, seen from `middle`: x (Z - shift)/(Z - middle)
     scale = 1 + (mean - shift) * ((nx * x + ny * y + nz) / away[:, None])  # (2, K, N)
-    seen = (xy[:, None] * scale).transpose(0, 2, 1, 3).reshape(2, _POINTS, -1)
-    both_p, both_n = circles_from_cones(_fit(seen)[1], np.tile(r, 2))
+    observed = (xy[:, None] * scale).transpose(0, 2, 1, 3).reshape(2, _POINTS, -1)
+    both_p, both_n = circles_from_cones(_fit(observed)[1], np.tile(r, 2))
     both_p = both_p.reshape(2, 2, -1, 3)
     both_n = both_n.reshape(2, 2, -1, 3)
     # the eigenvectors' signs are free, so the refit may return the two solutions in the other order

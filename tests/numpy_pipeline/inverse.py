@@ -184,7 +184,7 @@ class DenseInverse(InverseMembrane):
         innovation = half @ half.T + drift @ drift.T
         innovation[np.diag_indices_from(innovation)] += 1.0
         innovation = np.linalg.cholesky(innovation)
-        seen = np.maximum(
+        observed = np.maximum(
             (drift * cho_solve((innovation, True), drift, check_finite=False)).sum(axis=0), 1e-6
         )
         return _Gain(
@@ -199,7 +199,7 @@ class DenseInverse(InverseMembrane):
             distrust,
             drift,
             drift_gas,
-            seen,
+            observed,
             prior,
             innovation,
             0 if before is None else before.gain.reweighted + 1,

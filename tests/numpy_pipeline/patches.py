@@ -114,9 +114,9 @@ def _area(
     variance = float(fraction @ (off * off).sum(axis=1)) / 2
     minimum = float(np.diff(estimator.x)[0] ** 2 + np.diff(estimator.y)[0] ** 2) / 24
     disc = 4 * np.pi * max(variance, minimum)
-    seen = s.area_disc * (disc / s.area_disc) ** s.area_power
+    observed = s.area_disc * (disc / s.area_disc) ** s.area_power
     carrying = force / (max(gauge, 0.0) + s.area_pressure)
-    return float((seen**-s.area_blend + carrying**-s.area_blend) ** (-1 / s.area_blend))
+    return float((observed**-s.area_blend + carrying**-s.area_blend) ** (-1 / s.area_blend))
 
 
 def _strongest(field: Array, cells: Array, area: float) -> NDArray:

@@ -132,9 +132,9 @@ def test_servo_lag_is_first_order():
 
 
 def test_camera_switches_act_on_image_or_on_both_sides():
-    seen = set_design(DENSE, PHYSICS)
+    observed = set_design(DENSE, PHYSICS)
     sampled = set_camera_effects(DENSE, PHYSICS)
-    assert seen.glass.refractive_index == 1.0 and not any(seen.camera.distortion)
+    assert observed.glass.refractive_index == 1.0 and not any(observed.camera.distortion)
     assert sampled.camera.noise_dn == sampled.camera.blur_px == sampled.leds.count == 0
     everything = CAMERA | PHYSICS
     assert set_camera_effects(set_design(DENSE, everything), everything) == DENSE

@@ -88,8 +88,8 @@ def test_the_transmission_laws_predict_the_fingertip_positions(name):
         world.place_gripper(opening, 0.02)
         mujoco.mj_kinematics(world.model, world.data)
         p_WS, R_WS = tips(world)
-        seen = 2 * np.mean(np.sum((p_WS.mean(axis=0) - p_WS) * R_WS[:, :, 2], axis=1))
-        assert seen == pytest.approx(opening, abs=1e-6)
+        observed = 2 * np.mean(np.sum((p_WS.mean(axis=0) - p_WS) * R_WS[:, :, 2], axis=1))
+        assert observed == pytest.approx(opening, abs=1e-6)
         assert world.lift_height == pytest.approx(0.02, abs=1e-6)
 
 

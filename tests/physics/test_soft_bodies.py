@@ -60,13 +60,13 @@ def test_uniaxial_stress_and_energy_are_youngs():
     strain = -0.1
     volume = np.prod([0.027, 0.023, 0.023])
     data.flexvert_xpos[:] = rest * [1 + strain, 1 - NU * strain, 1 - NU * strain]
-    seen = solid.strain(data)
-    assert seen.compression == pytest.approx(-strain, rel=1e-6)
+    observed = solid.strain(data)
+    assert observed.compression == pytest.approx(-strain, rel=1e-6)
     # linear in Biot's strain: exact
-    assert seen.energy_density == pytest.approx(E * strain**2 / 2, rel=1e-6)
-    assert seen.energy == pytest.approx(E * strain**2 / 2 * volume, rel=1e-6)
+    assert observed.energy_density == pytest.approx(E * strain**2 / 2, rel=1e-6)
+    assert observed.energy == pytest.approx(E * strain**2 / 2 * volume, rel=1e-6)
     # over the present section
-    assert seen.stress == pytest.approx(-E * strain / (1 - NU * strain) ** 2, rel=1e-6)
+    assert observed.stress == pytest.approx(-E * strain / (1 - NU * strain) ** 2, rel=1e-6)
 
 
 def test_a_rigid_motion_is_a_pose_and_no_strain():

@@ -72,11 +72,11 @@ def test_a_push_changes_momentum_by_its_impulse():
 def test_a_shaken_gripper_is_simulated_by_gravity_and_restored_afterwards():
     direction = (0.6, 0.0, 0.8)
     world = world_with(event("shake", 0.1, 1.0, direction, acceleration=4.0, rate=2.0, tilt=0.0))
-    seen = []
+    observed = []
     for _ in range(round(1.3 / world.timestep)):
         world.step()
-        seen.append(world.model.opt.gravity.copy())
-    off = np.array(seen) - [0, 0, -9.81]
+        observed.append(world.model.opt.gravity.copy())
+    off = np.array(observed) - [0, 0, -9.81]
     np.testing.assert_allclose(np.cross(off, direction), 0, atol=1e-12)  # along its direction
     assert 3.6 < np.linalg.norm(off, axis=1).max() <= 4.0
     np.testing.assert_array_equal(world.model.opt.gravity, [0, 0, -9.81])
@@ -167,11 +167,11 @@ def test_a_liquid_sloshes_with_the_frequency_of_its_container():
     assert ground_truth.support_force(world, bodies) == pytest.approx(weight, rel=0.01)
     joint = world.data.joint("object/liquid x")
     joint.qvel[0] = 0.01
-    seen = []
+    observed = []
     for _ in range(round(1.0 / world.timestep)):
         world.step()
-        seen.append(float(joint.qpos[0]))
-    crossings = np.flatnonzero(np.diff(np.sign(seen)) > 0)
+        observed.append(float(joint.qpos[0]))
+    crossings = np.flatnonzero(np.diff(np.sign(observed)) > 0)
     period = float(np.diff(crossings).mean()) * world.timestep
     expected = math.sqrt(9.81 * 1.841 / 0.011)
     assert 2 * math.pi / period == pytest.approx(expected, rel=0.015)

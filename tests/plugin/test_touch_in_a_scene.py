@@ -88,8 +88,8 @@ def test_images_are_rendered_at_their_rate():
         mjtactile.step(s.model, s.data, s.fingers)
         times.append(finger.image.time)
         assert finger.touch.age == pytest.approx(s.data.time - finger.image.time)
-    seen = np.unique(times)
-    assert len(seen) == 1 + int(0.5 * finger.design.camera.rate)  # one more image, at the start
+    observed = np.unique(times)
+    assert len(observed) == 1 + int(0.5 * finger.design.camera.rate)  # one more image, at the start
     assert finger.touch.age <= 1 / finger.design.camera.rate
 
 

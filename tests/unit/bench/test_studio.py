@@ -23,8 +23,8 @@ ROUND = {
 def test_latency_ends_when_the_page_first_has_the_image():
     taken = [100.0 + 0.1 * k for k in range(8)]
     # waited for the page; a repeated image; an unknown image
-    seen = [(0, 190.0), (4, 100.45), (4, 100.9), (6, 100.67), (7, 100.8), (300, 101.0)]
-    found = run.ages(taken, seen)
+    observed = [(0, 190.0), (4, 100.45), (4, 100.9), (6, 100.67), (7, 100.8), (300, 101.0)]
+    found = run.ages(taken, observed)
     assert found["pictures"] == 3
     assert found["late_ms"] == pytest.approx(70) and found["late_90_ms"] == pytest.approx(70)
     with pytest.raises(InputError, match="no image"):

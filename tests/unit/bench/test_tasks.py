@@ -96,8 +96,8 @@ def test_weights_are_compared_with_the_requirement():
     assert found["objects"] == 3  # 5 g are too little to count
     assert found["mean_g"] == pytest.approx((4 - 4 + 2) / 3)
     # 4 % of 100 g and 1 g are 5 g, of 50 g 3 g
-    asked = [4 / 5, 4 / 3, 2 / 3]
-    assert found["over_asked"] == pytest.approx(np.sqrt(np.mean(np.square(asked))))
+    requested = [4 / 5, 4 / 3, 2 / 3]
+    assert found["over_asked"] == pytest.approx(np.sqrt(np.mean(np.square(requested))))
     assert weighed([])["objects"] == 0
 
 
@@ -106,7 +106,7 @@ def test_a_slip_event_counts_unless_the_shear_remains(follows, counts):
     """A grip of 0.8 N that is changed by 5 % at 4 Hz, "slipping" all the while: of force, and of a
     torque alone."""
     for torque in (False, True):
-        looks = []
+        touches = []
         for time in np.arange(20) / 30:
             wobble = 0.05 * np.sin(2 * np.pi * 4 * time)
             drag = 0.4 * (1 + follows * wobble)
@@ -117,7 +117,7 @@ def test_a_slip_event_counts_unless_the_shear_remains(follows, counts):
             traction = Traction(GRID, GRID, np.zeros((3, 3, 3)), wrench, np.eye(6), 1e3, "made up")
             slip = Slip("slipping", np.zeros(2), 0.0, 0.0)
             touch = Touch(0.0, 0.01, force, 0.003, True, traction=traction, slip=slip)
-            looks.append(SimpleNamespace(time=time, touch=touch))
-        vetoes = active_slip_test.vetoes(looks)
+            touches.append(SimpleNamespace(time=time, touch=touch))
+        vetoes = active_slip_test.vetoes(touches)
         assert not vetoes[5]  # no result of the test yet: the sign alone
         assert vetoes[-1] != counts

@@ -100,12 +100,12 @@ def test_known_intrinsics_are_recovered(photos, tmp_path, capsys):
         np.meshgrid(np.linspace(-0.4, 0.4, 9), np.linspace(-0.3, 0.3, 7)), axis=-1
     ).reshape(-1, 2)
     plane = np.column_stack([grid, np.ones(len(grid))])
-    seen = [
+    observed = [
         cv2.projectPoints(plane, np.zeros(3), np.zeros(3), k, d)[0].reshape(-1, 2)
         for k, d in ((K, DISTORTION), (camera.K, np.array(camera.distortion)))
     ]
-    inside = ((seen[0] > 20) & (seen[0] < np.array(SIZE) - 20)).all(axis=1)
-    off = (seen[0] - seen[1])[inside]
+    inside = ((observed[0] > 20) & (observed[0] < np.array(SIZE) - 20)).all(axis=1)
+    off = (observed[0] - observed[1])[inside]
     # px, all over the view; a common shift is a turn of the camera by less than a milliradian,
     # which `frame` measures
     assert np.linalg.norm(off - off.mean(axis=0), axis=1).max() < 0.5

@@ -39,12 +39,12 @@ def test_a_rig_is_created_from_ports_and_streams(tmp_path, emulator, monkeypatch
     like = tmp_path / "like.toml"
     like.write_text(client_text(load_rig_file("emulated").path, nowhere))
     path = tmp_path / "mine.toml"
-    asked = []
+    requested = []
     reported = []
     pressed = []
 
     def ask(question):
-        asked.append(question)
+        requested.append(question)
         finger = re.search(r"of the (\w+) finger", question)
         if finger:  # filling its chamber changes its image like an indentation
             while pressed:
@@ -56,7 +56,7 @@ def test_a_rig_is_created_from_ports_and_streams(tmp_path, emulator, monkeypatch
             return "2" if "jaw 1" in question else "1"
         return {
             "maximum force": "4",
-            "maximum opening": "-5" if "maximum opening" not in " ".join(asked[:-1]) else "",
+            "maximum opening": "-5" if "maximum opening" not in " ".join(requested[:-1]) else "",
         }.get(question.split(" on ")[0].split(",")[0], "")
 
     streams = [ends["cameras"]["right"], ends["cameras"]["left"]]
@@ -71,7 +71,7 @@ def test_a_rig_is_created_from_ports_and_streams(tmp_path, emulator, monkeypatch
                 notify=reported.append,
             )
         assert load_rig_file(path).bus.port == ends["servo"]  # results up to here are kept
-        asked.clear()
+        requested.clear()
         rig = setup(path, like=like, ports=[], cameras=streams, ask=ask, notify=reported.append)
     finally:
         for board in pressed:

@@ -55,9 +55,9 @@ def forces(plant, targets):
     for target in targets:
         normal = plant.move(command.opening)
         state = GripperState(plant.jaws, 0.0, normal, 0.0)
-        seen = Observation(0.0, PERIOD, (finger(normal),) * 2, state, (), command, TaskGoal())
+        observed = Observation(0.0, PERIOD, (finger(normal),) * 2, state, (), command, TaskGoal())
         command = phases.remember(command, target=target)
-        command = regulated(seen, command, [normal, normal])
+        command = regulated(observed, command, [normal, normal])
         found.append(normal)
     return np.array(found)
 

@@ -10,7 +10,7 @@ def observe(command: Command, *, opening=0.05, effort=0.0, lift=0.0, time=0.0) -
 
 def test_touchless_completes_a_grasp_by_effort_and_height():
     command = Command(0.05, 0.0, 0.0, "approach", {})
-    seen = []
+    observed = []
     opening = 0.05
     lift = 0.0
     for k in range(900):
@@ -20,10 +20,10 @@ def test_touchless_completes_a_grasp_by_effort_and_height():
         )
         opening = command.opening
         lift = command.lift_height
-        seen += [command.phase] if not seen or seen[-1] != command.phase else []
+        observed += [command.phase] if not observed or observed[-1] != command.phase else []
         if command.phase == "done":
             break
-    assert seen == ["approach", "regulate", "lift", "hold", "lower", "release", "done"]
+    assert observed == ["approach", "regulate", "lift", "hold", "lower", "release", "done"]
     assert lift == 0 and opening > 0.045
 
 

@@ -93,12 +93,12 @@ def test_the_zero_of_the_valve_and_the_scale_of_the_force():
     )
     wrench = np.array([0.1, 0.0, -2.0, 0, 0, 0])
     cov = np.diag([1e-4] * 6)
-    seen = Traction(
+    observed = Traction(
         np.arange(3.0), np.arange(2.0), np.ones((2, 3, 3)), wrench, cov, 970.0, "inverse"
     )
-    out = ForceScale(0.5, 0.01, 1.5, stamp(DESIGN, {}, {})).apply(seen)
+    out = ForceScale(0.5, 0.01, 1.5, stamp(DESIGN, {}, {})).apply(observed)
     assert out.wrench == pytest.approx(0.5 * wrench) and out.force == pytest.approx(
-        0.5 * seen.force
+        0.5 * observed.force
     )
     # Independent errors: variance of k w is k^2 var(w) + var(k) w^2
     assert out.wrench_cov[2, 2] == pytest.approx(0.25 * 1e-4 + (0.01 * 2.0) ** 2)

@@ -70,12 +70,12 @@ def test_every_terminating_signal_is_handled():
 
 
 def test_signals_with_a_user_handler_are_unchanged():
-    heard = []
-    before = signal.signal(signal.SIGUSR1, lambda *_: heard.append(1))
+    received = []
+    before = signal.signal(signal.SIGUSR1, lambda *_: received.append(1))
     try:
         with deferred() as stop:
             signal.raise_signal(signal.SIGUSR1)
-            assert heard and not stop.asked
+            assert received and not stop.asked
     finally:
         signal.signal(signal.SIGUSR1, before)
 
@@ -106,14 +106,14 @@ def test_an_ignored_hang_up_signal_stays_ignored():
 
 
 def test_signals_of_the_main_thread_are_visible_in_other_threads():
-    seen = []
+    observed = []
 
     def work():
         with deferred() as stop:
             signal.raise_signal(signal.SIGINT)
             started.set()
             over.wait(10)
-            seen.append(stop.asked)
+            observed.append(stop.asked)
 
     started = threading.Event()
     over = threading.Event()
@@ -121,7 +121,7 @@ def test_signals_of_the_main_thread_are_visible_in_other_threads():
         thread = threading.Thread(target=work)
         thread.start()
         started.wait(10)
-        seen.append(stop.asked)
+        observed.append(stop.asked)
         over.set()
         thread.join()
-    assert seen == [True, True]
+    assert observed == [True, True]

@@ -62,9 +62,9 @@ def test_noise_of_the_force_bounds_the_scatter_of_rendered_images(paper16):
     reported = math.sqrt(paper16.noise(estimated)[2, 2])
     forces = []
     for number in range(40):
-        seen = paper16._sampler.sample(*paper16.poses(pressed.state.x), 0.1)
+        observed = paper16._sampler.sample(*paper16.poses(pressed.state.x), 0.1)
         touch, _ = paper16.pipeline.step(
-            estimated.state, replace(seen, time=0.1 + number), 0.1 + number
+            estimated.state, replace(observed, time=0.1 + number), 0.1 + number
         )
         forces.append(touch.traction.wrench[2])
     # a bound: forty numbers give their sd to 11 %; a chain that keeps the camera state between

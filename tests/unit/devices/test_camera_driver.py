@@ -173,9 +173,9 @@ def test_a_flipped_image_is_corrected(device, flipped, turned):
     device.mode = "still"
     config = replace(CONFIG, flipped=flipped)
     with contextlib.closing(OpenCvCamera(config, capture=lambda: device)) as camera:
-        seen = camera.read().pixels
+        observed = camera.read().pixels
         device.mode = "gone"
-    assert np.array_equal(seen, turned(cv2.cvtColor(device.pixels, cv2.COLOR_BGR2GRAY)))
+    assert np.array_equal(observed, turned(cv2.cvtColor(device.pixels, cv2.COLOR_BGR2GRAY)))
 
 
 def test_a_frozen_camera_is_an_error(camera, device):
@@ -290,10 +290,10 @@ def test_a_cycle_starts_with_an_image_or_after_the_time_limit(device):
         clock = FrameClock([camera], period)
         for _ in range(5):
             goal = clock.now() + period
-            seen = camera.newest_time
+            observed = camera.newest_time
             clock.wait_until(goal)
             assert clock.now() >= goal - period / 2 - 1e-3  # the sleep's own resolution
-            assert camera.newest_time > seen
+            assert camera.newest_time > observed
         device.mode = "stopped"
         goal = clock.now() + period
         clock.wait_until(goal)  # the last image may still arrive
@@ -346,7 +346,7 @@ def test_the_loop_synchronizes_with_its_camera(rate, phase, monkeypatch):
         camera.now += 0.6  # its work
         clock.wait_until(deadline)
         taken.append((camera.now, camera.newest_time))
-    seen = np.array(taken[10:])
+    observed = np.array(taken[10:])
     # rounding: without falling into step up to 0.5
-    np.testing.assert_allclose(seen[:, 0], seen[:, 1], atol=1e-6)
-    np.testing.assert_allclose(np.diff(seen[:, 1]), 1 / rate, atol=1e-6)
+    np.testing.assert_allclose(observed[:, 0], observed[:, 1], atol=1e-6)
+    np.testing.assert_allclose(np.diff(observed[:, 1]), 1 / rate, atol=1e-6)

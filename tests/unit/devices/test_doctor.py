@@ -74,9 +74,9 @@ def test_devices_and_doctor_list_the_same_ports(monkeypatch):
     built_in = SimpleNamespace(device="/dev/ttyS0", description="n/a", serial_number=None, vid=None)
     adapter = SimpleNamespace(device="/dev/ttyU0", description="USB", serial_number="7", vid=1027)
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [adapter, built_in])
-    seen = [f.text.split()[0] for f in _plugged_in() if f.subject == "serial port"]
-    asked = []
-    listed = serial_ports(notify=asked.append)
-    assert [port.path for port in listed] == seen == ["/dev/ttyS0", "/dev/ttyU0"]
+    observed = [f.text.split()[0] for f in _plugged_in() if f.subject == "serial port"]
+    requested = []
+    listed = serial_ports(notify=requested.append)
+    assert [port.path for port in listed] == observed == ["/dev/ttyS0", "/dev/ttyU0"]
     assert listed[0].problem == "built in: queried only with --port /dev/ttyS0"
-    assert [text.split(":")[0] for text in asked] == ["/dev/ttyU0"]
+    assert [text.split(":")[0] for text in requested] == ["/dev/ttyU0"]

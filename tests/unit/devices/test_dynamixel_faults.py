@@ -38,11 +38,11 @@ def test_a_state_has_the_time_of_its_request(bench):
     try:
         before = gripper.state()
         gripper.request_state()
-        asked = scaled_clock.monotonic()
+        requested = scaled_clock.monotonic()
         wait_for(lambda: gripper.bus._port.ser.in_waiting >= 2 * 32)  # both have answered
         bench.servos[2].follow_load(ANGLE + 0.5, 0.0, 0.0, 0.01)
         state = gripper.state()
-        assert state.opening == before.opening and before.time < state.time <= asked
+        assert state.opening == before.opening and before.time < state.time <= requested
         # of the 6 mm that the jaw has moved
         assert gripper.state().opening > before.opening + 0.005
     finally:

@@ -96,16 +96,16 @@ def test_a_host_that_does_not_read_does_not_block_the_emulator():
 
 
 def test_without_a_goal_the_lift_falls_freely():
-    asked = []
+    requested = []
     scene = SimpleNamespace(
-        timestep=0.004, set_lift_target=lambda height, speed=None: asked.append((height, speed))
+        timestep=0.004, set_lift_target=lambda height, speed=None: requested.append((height, speed))
     )
     world = SimpleNamespace(scene=scene, _travel=0.15, _fall_speed=0.0)
     for goal in (0.05, 9.0, *[math.nan] * 5, 0.02, math.nan):
         EmulatedWorld._lift(world, goal)
     falling = [(0.0, pytest.approx(9.81 * 0.004 * n)) for n in range(1, 6)]
     # after holding, the fall restarts
-    assert asked == [(0.05, None), (0.15, None), *falling, (0.02, None), falling[0]]
+    assert requested == [(0.05, None), (0.15, None), *falling, (0.02, None), falling[0]]
     for _ in range(100):
         EmulatedWorld._lift(world, math.nan)
-    assert asked[-1] == (0.0, _FALL_SPEED_MAX)
+    assert requested[-1] == (0.0, _FALL_SPEED_MAX)

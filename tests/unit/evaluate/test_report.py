@@ -100,13 +100,13 @@ def test_a_parameter_with_failures_at_both_ends_is_significant():
 def test_random_failures_are_not_significant():
     """Outcomes are independent of five values: in 5 % of such reports a value is significant."""
     rng = np.random.default_rng(3)
-    seen = 0
+    observed = 0
     for seed in range(40):
         table = lines(60, seed=seed)
         for line, held in zip(table, rng.permutation([True] * 50 + [False] * 10), strict=True):
             line["outcome"] = "held" if held else "dropped"
-        seen += any(item["stands_out"] for item in against(table))
-    assert seen <= 6  # 2 expected; 3 sd more
+        observed += any(item["stands_out"] for item in against(table))
+    assert observed <= 6  # 2 expected; 3 sd more
 
 
 def test_both_controllers_have_equal_bins_without_errors():
@@ -177,18 +177,18 @@ def test_images_of_the_worst_episodes_are_in_the_page(tmp_path, monkeypatch):
     table = lines(2)
     for line in table:
         kept.add(line)
-    asked = []
+    requested = []
 
     def image(episode, folder):
-        asked.append(episode)
+        requested.append(episode)
         folder.mkdir(parents=True)
         (folder / "summary.png").write_bytes(b"png")
         return folder / "summary.png"
 
     monkeypatch.setattr("mjtactile.evaluate.worst_episodes.render", image)
     path = write_report(tmp_path, 1)
-    assert asked == [
-        Episode(asked[0].index, Scenario(controller="gentle", seed=3 + asked[0].index))
+    assert requested == [
+        Episode(requested[0].index, Scenario(controller="gentle", seed=3 + requested[0].index))
     ]
     assert 'src="data:image/png;base64,cG5n"' in path.read_text()
 

@@ -161,12 +161,12 @@ def test_a_viewer_that_connects_later_sees_the_scene():
         p_WG=np.zeros(3),
     )
     scene = SimpleNamespace(solids=lambda: [solid], soft_bodies=lambda: [])
-    seen = SimpleNamespace(view=scene, time=0.0, ellipses=(), touch=())
+    observed = SimpleNamespace(view=scene, time=0.0, ellipses=(), touch=())
     sampled = viewer_entities.EntityStream(SimpleNamespace(fingers=()))
-    assert [i.topic for i in sampled.of(seen)] == ["/scene/egg", "/tf_scene"]
-    assert not list(sampled.of(seen))  # it has not moved
+    assert [i.topic for i in sampled.of(observed)] == ["/scene/egg", "/tf_scene"]
+    assert not list(sampled.of(observed))  # it has not moved
     sampled.again()
-    assert len(list(sampled.of(seen))) == 2
+    assert len(list(sampled.of(observed))) == 2
 
 
 def test_a_failed_viewer_is_disconnected(tmp_path, caplog):

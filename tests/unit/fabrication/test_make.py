@@ -260,8 +260,8 @@ def test_mirror_images_obey_the_law_of_reflection():
     led = DENSE.leds.ring_radius * np.array([math.cos(math.pi / 4), math.sin(math.pi / 4)])
     hit = led / 2  # equal angles: halfway, as lens and LED are in one plane
     eye = optics.Camera.from_design(DENSE.camera)
-    seen = optics.pixel_from_normalized(eye, eye.lens.distort(hit / DENSE.glass.distance))
-    np.testing.assert_allclose(camera_check.led_mirrors(DENSE)[0], seen, atol=1e-6)
+    observed = optics.pixel_from_normalized(eye, eye.lens.distort(hit / DENSE.glass.distance))
+    np.testing.assert_allclose(camera_check.led_mirrors(DENSE)[0], observed, atol=1e-6)
 
 
 def test_the_longest_focal_length_that_is_named_still_shows_all_markers():

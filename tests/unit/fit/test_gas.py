@@ -125,8 +125,8 @@ def test_intervals_cover_slow_pressure_errors():
     inside = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        seen = pressure + slow_error(rng, 300, 20.0, 0.9) + rng.normal(0, NOISE, 300)
-        run = Sealed("run", time, seen, volume)
+        observed = pressure + slow_error(rng, 300, 20.0, 0.9) + rng.normal(0, NOISE, 300)
+        run = Sealed("run", time, observed, volume)
         found = fit_gas(DENSE, [run], known=HEAT | {"leak_conductance": 0.0})
         off = DENSE.chamber_volume_flat + found.values["extra_volume"] - flat
         inside += abs(off) < 2 * np.sqrt(found.cov[0, 0])

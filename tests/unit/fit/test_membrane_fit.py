@@ -22,11 +22,11 @@ NOTHING = Series(np.empty(0), np.empty(0), np.empty(0))
 def evidence_of(true, pressure, mesh=MESH):
     """Return the rest shape at a pressure, with 3 um of noise."""
     empty = Hold(true.markers.p_SM, np.zeros((true.markers.count, 3, 3)), pressure, None)
-    seen = simulate(true, Evidence("made", None, empty, (), NOTHING, ()), mesh=mesh)[0].p_SM
-    noise = np.random.default_rng(round(pressure)).normal(0, 3e-6, seen.shape)
-    cov = np.broadcast_to(9e-12 * np.eye(3), (len(seen), 3, 3))
+    observed = simulate(true, Evidence("made", None, empty, (), NOTHING, ()), mesh=mesh)[0].p_SM
+    noise = np.random.default_rng(round(pressure)).normal(0, 3e-6, observed.shape)
+    cov = np.broadcast_to(9e-12 * np.eye(3), (len(observed), 3, 3))
     return Evidence(
-        f"{pressure:g} Pa", None, Hold(seen + noise, cov, pressure, None), (), NOTHING, ()
+        f"{pressure:g} Pa", None, Hold(observed + noise, cov, pressure, None), (), NOTHING, ()
     )
 
 
@@ -95,9 +95,9 @@ def test_a_single_deep_move_into_a_closed_chamber(true):
     world.press(3.5e-3, 0.0, 0.01)
     hold = replace(rest, pressure=world.sensors[0].gauge_pressure, move=stage.moves[0])
     assert hold.pressure > 1500.0
-    seen = world.marker_poses(0)[0]
+    observed = world.marker_poses(0)[0]
     found = simulate(true, replace(recording, holds=(hold,)), mesh=MESH)[1].p_SM
-    assert np.sqrt(np.mean((found - seen) ** 2)) < 8e-6
+    assert np.sqrt(np.mean((found - observed) ** 2)) < 8e-6
 
 
 def loaded(true, scale, height_fraction=0.02, jitter=0.0):
@@ -109,11 +109,11 @@ def loaded(true, scale, height_fraction=0.02, jitter=0.0):
     holds = tuple(Hold(*nothing, 1000.0, move) for move in stage.moves)
     made = Evidence("made", stage, Hold(*nothing, 1000.0, None), holds, NOTHING, ())
     rng = np.random.default_rng(3)
-    seen = []
+    observed = []
     for found in simulate(true, made, mesh=MESH):
         p = found.p_SM * [1.0, 1.0, scale] + rng.normal(0, 3e-6 + jitter, (count, 3))
-        seen.append((p, np.broadcast_to(9e-12 * np.eye(3), (count, 3, 3))))
-    rest, *others = seen
+        observed.append((p, np.broadcast_to(9e-12 * np.eye(3), (count, 3, 3))))
+    rest, *others = observed
     return Evidence(
         "made",
         stage,

@@ -81,7 +81,7 @@ def sampled(rng, n):
 
 @pytest.mark.parametrize("polarity", ["dark", "bright"])
 def test_validation_equals_numpy(polarity):
-    seen = set()
+    observed = set()
     for seed in range(30):
         fit, found = sampled(
             np.random.default_rng(seed), int(np.random.default_rng(seed).integers(0, 120))
@@ -98,8 +98,8 @@ def test_validation_equals_numpy(polarity):
             )
             np.testing.assert_array_equal(status, requested)
             np.testing.assert_array_equal(keep, keep_requested)
-            seen |= set(status)
-    assert polarity == "bright" or seen == set(fit_validation.STATUSES)
+            observed |= set(status)
+    assert polarity == "bright" or observed == set(fit_validation.STATUSES)
 
 
 def test_semi_axes():

@@ -130,7 +130,7 @@ def test_tractions_from_markers(sensor):
     design = load_sensor(sensor)
     rng = np.random.default_rng(2)
     computed = InverseMembrane(design)
-    theirs = DenseInverse(design)
+    expected = DenseInverse(design)
     p = design.markers.p_SM
     n = design.markers.count
     bulge = (
@@ -154,11 +154,11 @@ def test_tractions_from_markers(sensor):
         ids = np.sort(rng.choice(n, n - (depth > 1e-3), replace=False))
         markers = Markers(ids, (q + rng.normal(0, 5e-6, q.shape))[ids], normals[ids], cov[ids])
         shape = computed.estimate(markers, rest, shape)
-        reference = theirs.estimate(markers, rest, reference)
+        reference = expected.estimate(markers, rest, reference)
         assert shape.steps == reference.steps
         np.testing.assert_allclose(shape.c, reference.c, atol=1e-12)
         one = computed.traction(shape)
-        other = theirs.traction(reference)
+        other = expected.traction(reference)
         np.testing.assert_allclose(one.wrench, other.wrench, atol=1e-9)
         np.testing.assert_allclose(one.force, other.force, atol=1e-9)
         np.testing.assert_allclose(shape.excess, reference.excess, rtol=1e-6, atol=1e-6)

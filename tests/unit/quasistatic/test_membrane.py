@@ -66,9 +66,9 @@ def other_designs():
     """Return one reference case of each other membrane and pressure of the independent solver."""
     path = Path(benchmarks.quasistatic.__file__).with_name("membrane_reference.json")
     cases = json.loads(path.read_text(encoding="utf-8"))["cases"]
-    asked = {"kind": "ball", "size_mm": [16.0], "at_mm": [0.0, 0.0], "depth_mm": 2.0}
+    requested = {"kind": "ball", "size_mm": [16.0], "at_mm": [0.0, 0.0], "depth_mm": 2.0}
     usual = {"thickness_mm": 0.3, "pre_stretch": 1.05, "rest_Pa": 1000.0}
-    found = [c for c in cases if asked.items() <= c.items() and not usual.items() <= c.items()]
+    found = [c for c in cases if requested.items() <= c.items() and not usual.items() <= c.items()]
     names = ["-".join(str(c[key]) for key in usual) for c in found]
     return [pytest.param(case, id=name) for case, name in zip(found, names, strict=True)]
 

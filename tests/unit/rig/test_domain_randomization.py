@@ -214,9 +214,9 @@ def test_missing_markers_are_not_detected():
     true = true_design(DESIGN, own)
     flat = true.markers.p_SM, np.tile([0.0, 0.0, -1.0], (81, 1))
     renderer = Renderer(true, radius=marker_radii(true, own))
-    seen = detect(renderer.render(*flat)).center_px
+    observed = detect(renderer.render(*flat)).center_px
     assert (
-        len(seen) == 79
+        len(observed) == 79
         and renderer.render(*flat).pixels.mean() > Renderer(DESIGN).render(*flat).pixels.mean()
     )
 

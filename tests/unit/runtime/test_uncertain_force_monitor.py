@@ -88,8 +88,8 @@ def stepwise():
         session.take_references()
         with session.steps() as steps:
             for _ in range(60):
-                seen = steps.observe()
-                goal = max(seen.command.opening - 1e-3, 0.0)
+                observed = steps.observe()
+                goal = max(observed.command.opening - 1e-3, 0.0)
                 steps.send(mjtactile.Command(goal, 1.0))
         return session.flags
 

@@ -38,16 +38,18 @@ def touches(references=None, run=None):
     Every load is evaluated four times, since its motion increases the uncertainty.
     """
     images = membrane_images.sequence("dense")
-    seen = [
+    observed = [
         FaultyImage(from_table(CameraFaults, table or {}, "test")) for table in (references, run)
     ]
     sensor = StatefulPipeline.of(load_sensor("dense"))
-    sensor.measure_flat_reference([seen[0](image) for image in images.flat])
-    sensor.measure_rest_reference([seen[0](image) for image in images.rest], membrane_images.GAUGE)
+    sensor.measure_flat_reference([observed[0](image) for image in images.flat])
+    sensor.measure_rest_reference(
+        [observed[0](image) for image in images.rest], membrane_images.GAUGE
+    )
     found = []
     for image in (images.rest[0], *images.pressed):
         for _ in range(4):
-            touch = sensor.perceive(seen[1](image), image.time)
+            touch = sensor.perceive(observed[1](image), image.time)
         found.append(touch)
     return found
 
@@ -136,16 +138,16 @@ def test_the_camera_estimate_equals_the_fit_of_all_images():
     for k in range(1, 6):
         before = estimate.later(float(k), s)
         rows = rng.standard_normal((20, MODES))
-        seen = rng.standard_normal(20)
+        observed = rng.standard_normal(20)
         alone = rows[:, 7] * s.drift_jitter / s.drift_size
         weight = np.linalg.inv(np.eye(20) + np.outer(alone, alone))
         normal += rows.T @ weight @ rows
-        right += rows.T @ weight @ seen
+        right += rows.T @ weight @ observed
         # as in the fit of an image: in units of the root of an earlier gain
         gain = dataclasses.replace(before, known=1.2 * before.known)
         open_ = rows @ gain.root
         left = np.linalg.inv(np.eye(MODES + 1) + open_.T @ open_)
-        found = left @ open_.T @ (seen - rows @ before.mean)
+        found = left @ open_.T @ (observed - rows @ before.mean)
         estimate = before.updated(found, left, gain.root, float(k))
     assert estimate.known @ estimate.known.T == pytest.approx(np.linalg.inv(normal), abs=1e-12)
     assert estimate.mean == pytest.approx(np.linalg.solve(normal, right), abs=1e-10)

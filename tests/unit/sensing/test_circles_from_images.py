@@ -234,8 +234,8 @@ def test_circles_behind_glass():
 
     def depth_errors(camera):
         found = detect_circles(image, camera, 6e-3).poses
-        which, nearer, seen = match(found, circles)
-        assert seen.all() and len(np.unique(which)) == 6
+        which, nearer, observed = match(found, circles)
+        assert observed.all() and len(np.unique(which)) == 6
         return nearer[:, 2] - [c.p_C[2] for c in circles]
 
     assert np.abs(depth_errors(glass)).max() < 4e-5  # noise at 28 px of radius is 8 um

@@ -101,8 +101,8 @@ def test_positions_in_space_with_known_camera_and_radius():
     camera = Camera.from_design(design.camera, design.glass)
     (tracked,) = track_circles([image], camera, design.markers.radius)
     assert tracked.poses is not None
-    seen = tracked.poses.p_CM + design.camera.p_SC
-    distance = np.linalg.norm(seen[:, None] - p_SM[None], axis=2)
+    observed = tracked.poses.p_CM + design.camera.p_SC
+    distance = np.linalg.norm(observed[:, None] - p_SM[None], axis=2)
     # depth of a circle of 20 px radius that is known to some thousandths: 10 to 30 um
     assert sorted(distance.argmin(axis=1)) == list(range(16)) and distance.min(axis=1).max() < 1e-4
 

@@ -66,8 +66,8 @@ def test_dots_beside_a_bright_window_are_found(size):
     assert trusted(detect(image), circles) == (size[0] - 2) * (size[1] - 2)
     found, _, _ = detect_thoroughly(image)
     assert trusted(found, circles) == len(circles)
-    _, nearer, seen = match(estimate_poses(found, CAMERA, size[3]), circles)
-    assert seen.all()
+    _, nearer, observed = match(estimate_poses(found, CAMERA, size[3]), circles)
+    assert observed.all()
     # 0.2-0.35 % is the noise at that contrast and these sizes (Cramer-Rao), 4 of that once in 15
     # 000
     assert np.abs(nearer[:, 2] / [c.p_C[2] for c in circles] - 1).max() < 0.014

@@ -49,11 +49,11 @@ def pressed(membrane, at, radius, depth):
 )
 def test_force_is_the_membranes(membrane, at, radius, depth):
     state = pressed(membrane, at, radius, depth)
-    seen = points_of(membrane, state)
+    observed = points_of(membrane, state)
     # camera errors: 10 um, as of a depth camera for so small an object
-    seen = seen + np.random.default_rng(1).normal(0, [0, 0, 1e-5], seen.shape)
+    observed = observed + np.random.default_rng(1).normal(0, [0, 0, 1e-5], observed.shape)
     found = estimate_force_from_surface(
-        seen, state.gauge_pressure, outline_of(membrane), rest_of(membrane), smoothing=SMOOTHING
+        observed, state.gauge_pressure, outline_of(membrane), rest_of(membrane), smoothing=SMOOTHING
     )
     # the membrane's tension varies over its surface, and one factor is modelled: 3 %
     assert found.force[2] == pytest.approx(state.wrench[2], rel=0.06)

@@ -114,8 +114,8 @@ def test_a_speck_on_a_marker_loses_only_that_marker(sensor, larger):
         state, images.rest, membrane_images.GAUGE
     )
     markers, _ = sensing_pipeline.detect_markers(state, images.rest[0])
-    seen = project(sensing_pipeline.camera, markers.p_SM - design.camera.p_SC)
-    center = seen[len(seen) // 2]
+    observed = project(sensing_pipeline.camera, markers.p_SM - design.camera.p_SC)
+    center = observed[len(observed) // 2]
     radius = larger * sensing_pipeline.camera.fx * design.markers.radius / design.camera.distance
     for image in images.pressed:
         clean, state = sensing_pipeline.step(state, image, image.time)

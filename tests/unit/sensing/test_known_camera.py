@@ -250,7 +250,7 @@ def test_correction_by_fiducials_equals_the_joint_fit():
     H = rng.standard_normal((30, 6))
     D = rng.standard_normal((30, OBSERVED_MODES))
     F = rng.standard_normal((8, 3, OBSERVED_MODES))
-    seen = rng.standard_normal(30)
+    observed = rng.standard_normal(30)
     moved = 0.1 * rng.standard_normal((8, 3))
     ones = np.ones(OBSERVED_MODES)
     mean, covariance, misfit = _solve(F, moved, ones, 1e9)
@@ -264,10 +264,10 @@ def test_correction_by_fiducials_equals_the_joint_fit():
             [np.zeros((OBSERVED_MODES, 6)), np.eye(OBSERVED_MODES)],
         ]
     )
-    data = np.concatenate([seen, moved.ravel(), np.zeros(6 + OBSERVED_MODES)])
+    data = np.concatenate([observed, moved.ravel(), np.zeros(6 + OBSERVED_MODES)])
     joint = np.linalg.lstsq(rows, data, rcond=None)[0][:6]
     computed = np.vstack([np.hstack([H, D @ root]), np.eye(6 + OBSERVED_MODES)])
-    left = np.concatenate([seen - D @ mean, np.zeros(6 + OBSERVED_MODES)])
+    left = np.concatenate([observed - D @ mean, np.zeros(6 + OBSERVED_MODES)])
     assert np.linalg.lstsq(computed, left, rcond=None)[0][:6] == pytest.approx(joint, abs=1e-10)
 
 

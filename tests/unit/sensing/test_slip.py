@@ -158,9 +158,9 @@ def test_a_flat_face_that_slides_shows_in_its_shear_alone(sensor):
     file's friction. Below a fifth of the normal force it rolls, or is smoother than any dry
     object."""
     slides = np.r_[np.full(8, STICKS), np.full(8, SLIDES), np.full(4, STICKS)]
-    for load, seen in ((0.25, "slipping"), (0.15, "sticking")):
+    for load, observed in ((0.25, "slipping"), (0.15, "sticking")):
         reported = states(verdicts(sensor, np.full(20, load * NORMAL), np.zeros(20), sticks=slides))
-        assert "slipping" not in reported[:8] and set(reported[8:16]) == {seen}, load
+        assert "slipping" not in reported[:8] and set(reported[8:16]) == {observed}, load
         assert reported[-1] != "slipping"
 
 

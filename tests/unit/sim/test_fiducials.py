@@ -85,8 +85,8 @@ def test_fiducials_change_only_their_own_pixels():
 
 def test_synthetic_ellipses_include_fiducials():
     design = load_sensor("dense_fiducials")
-    seen = EllipseSampler(design).sample(*flat(design)).ellipses
-    assert len(seen) == design.markers.count + 10
+    observed = EllipseSampler(design).sample(*flat(design)).ellipses
+    assert len(observed) == design.markers.count + 10
     _, center = outlines(design)
     # sd 0.01 px
-    assert seen.center_px[-10:] == pytest.approx(center, abs=0.1)
+    assert observed.center_px[-10:] == pytest.approx(center, abs=0.1)

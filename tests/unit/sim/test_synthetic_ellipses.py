@@ -105,15 +105,15 @@ def test_errors_are_those_of_the_image_stages(blur):
     sampler = EllipseSampler(design, seed=1)
     pose = bulged()
     true = np.concatenate(sampler._true(*pose), axis=1)
-    seen = []
+    observed = []
     sampled = []
     for _ in range(16):
         fit, status = markers.search(renderer.render(*pose).pixels, min_radius_px=4)
         order = np.linalg.norm(fit.center[:, None] - true[:, :2], axis=2).argmin(axis=0)
         assert (status == "ok").all() and len(status) == 81
-        seen.append(np.concatenate([fit.center, fit.shape], axis=1)[order] - true)
+        observed.append(np.concatenate([fit.center, fit.shape], axis=1)[order] - true)
         sampled.append(shape_of(sampler.sample(*pose).ellipses) - true)
-    ratio = np.median(np.std(sampled, axis=0), axis=0) / np.median(np.std(seen, axis=0), axis=0)
+    ratio = np.median(np.std(sampled, axis=0), axis=0) / np.median(np.std(observed, axis=0), axis=0)
     np.testing.assert_allclose(ratio, 1.0, atol=0.2)
 
 

@@ -61,9 +61,9 @@ def test_without_a_manual_request_the_controller_acts():
     manual = ManualControl(
         SimpleNamespace(path=Path("mine.py"), step=lambda observation: Command(0.01, 1.0))
     )
-    seen = observe(Command(0.05, 4.0))
-    assert manual.path == Path("mine.py") and manual.step(seen).opening == 0.01
+    observed = observe(Command(0.05, 4.0))
+    assert manual.path == Path("mine.py") and manual.step(observed).opening == 0.01
     manual.manual_goal = ManualGoal(0.05, 0.0)
-    assert manual.step(seen).opening == 0.05
+    assert manual.step(observed).opening == 0.05
     manual.manual_goal = None
-    assert manual.step(seen).opening == 0.01
+    assert manual.step(observed).opening == 0.01
