@@ -68,6 +68,18 @@ def test_motion_is_not_lag():
     assert found.fraction == pytest.approx(0.5, abs=0.15)
 
 
+@pytest.mark.parametrize("sds", [4, 8, 16, 64])
+def test_slow_motion_of_a_few_markers_is_not_lag(sds):
+    """A polynomial does not describe a small object that creeps next to the frame. The lag of 3 to
+    19 images made the sd of a steady force 0.1 to 0.9 N."""
+    design = load_sensor("dense")
+    distance = np.linalg.norm(design.markers.p_SM[:, :2] - [0.0125, -0.0027], axis=1)
+    dent = np.zeros_like(design.markers.p_SM)
+    dent[distance < 4.5e-3, 2] = sds / 2 * SD
+    dent[distance < 2e-3, 2] = -sds * SD
+    assert blend(design, 0.0, motion=dent).images == 0.0
+
+
 def test_a_lag_adds_the_uncertainty_of_the_change():
     """With a lag of one image, a change of 0.1 N since the last image adds 0.25 N of
     uncertainty."""
