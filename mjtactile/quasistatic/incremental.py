@@ -8,6 +8,7 @@ The in-plane stiffness of the untouched membrane, inverted once, holds sticking 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -30,6 +31,7 @@ from mjtactile.quasistatic.solution import (
 )
 from mjtactile.quasistatic.stick_contact import compliance_of
 
+_STICKS = 6  # index of friction in the settings
 _TOLERANCE = 1e-6  # tolerance of the displacements, m
 _MAX_STEPS = 40
 HEAT_RATIO = 14
@@ -91,6 +93,34 @@ class IncrementalMembrane:
         self.settings[:2] = gas, sealed
         self._solve()
         return MembraneStatus(int(self.found[STATUS]))
+
+    def with_shear(self, shear: Array) -> Callable[[], tuple[Array, Array] | None]:
+        """Return a function that finds the present equilibrium with an in-plane force later.
+
+        Its results are displacements (3, nx, ny), m, and the included loads (2, nx, ny), N, of the
+        nodes; None without an equilibrium.
+
+        Args:
+            shear: In-plane force (2,), N, of the contact, distributed like the normal force.
+        """
+        settings, rows, constants = self.settings.copy(), self.rows.copy(), self.constants.copy()
+        settings[_STICKS:] = 1.0, *shear
+        x, force = self.x.copy(), self.force.copy()
+
+        def solve() -> tuple[Array, Array] | None:
+            membrane = self.membrane
+            room, found = np.empty_like(membrane._room), np.zeros(FOUND)
+            kernel("qs_solve")(
+                *(constants, membrane._law, *membrane.grid, membrane._kept.size, membrane._kept),
+                *(membrane.rest.x, room.size, room, 1, 0, 1, settings, len(rows), rows),
+                *(0 if self.pool is None else self.pool.size, self.pool),
+                *(x, force, np.zeros((4, *membrane.grid)), found),
+            )
+            if found[STATUS] != MembraneStatus.CONVERGED:
+                return None
+            return x, (shear - found[:2])[:, None, None] * force / force.sum()
+
+        return solve
 
     def go_to_pressure(self, gauge_pressure: float) -> MembraneStatus:
         """Change to a gauge pressure that may differ much from the present one, in small steps to

@@ -300,14 +300,18 @@ class QuasistaticSensor(BaseSensor):
     def _positions(self) -> Callable[[], Array]:
         """Return a function that computes `p_SV` of the last update."""
         x = self._live.x.copy()
-        load = None
+        load = with_shear = None
         if self.is_touched and self.friction > 0:
             load = self._before[6:8].copy()
+            with_shear = self._live.with_shear(self._state["wrench"][:2].copy())
 
         def positions() -> Array:
-            moved = x.reshape(3, -1).T.copy()
+            # a membrane that shear moves also slides along inclined obstacles
+            found = with_shear() if with_shear else None
+            moved = (x if found is None else found[0]).reshape(3, -1).T.copy()
             if load is not None:
-                inner = load[:, 1:-1, 1:-1].reshape(2, -1).T.ravel()
+                remaining = load if found is None else load - found[1]
+                inner = remaining[:, 1:-1, 1:-1].reshape(2, -1).T.ravel()
                 moved[self.mesh.interior, :2] += (self._sticking.compliance @ inner).reshape(-1, 2)
             return self.mesh.p_SV + (moved if self._onto_mesh is None else self._onto_mesh @ moved)
 
