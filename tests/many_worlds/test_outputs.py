@@ -10,6 +10,7 @@ import pytest
 import mjtactile
 from mjtactile.sim.sensor.mesh import MarkerInterpolator, make_mesh
 from mjtactile.sim.sensor.quasistatic_geoms import sticking_of
+from mjtactile.sim.sensor.quasistatic_sensor import QuasistaticSensor
 
 pytest.importorskip("mujoco_warp")
 
@@ -129,6 +130,7 @@ def test_markers_are_those_of_the_cpu(held, monkeypatch):
     found = held.touch.markers().numpy()[0, 0]
     # the CPU's membrane slides along the tilted disc, the device's moves in the plane only
     assert found == pytest.approx(finger.sensor.marker_poses()[0], abs=2e-5)
+    assert isinstance(finger.sensor, QuasistaticSensor)
     monkeypatch.setattr(finger.sensor._live, "with_shear", lambda shear: lambda: None)
     assert found == pytest.approx(finger.sensor.marker_poses()[0], abs=8e-6)
 
