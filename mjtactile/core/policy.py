@@ -222,7 +222,7 @@ def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
         phase = _next(before, observation, time, grip)
     if phase != before:
         time = 0.0
-    if phase == before == "hold" and observation.goal.handover:
+    if phase == before and _may_release(phase, observation):
         grip = min(grip, gripper.opening)
     elif phase not in ("release", "done", "abort"):
         grip = gripper.opening
@@ -236,6 +236,11 @@ def _progress(observation: Observation) -> tuple[str, Mapping[str, float]]:
     }
 
 
+def _may_release(phase: str, observation: Observation) -> bool:
+    """Return True in a phase in which the policy decides on the release, by opening."""
+    return phase == "lower" or (phase == "hold" and observation.goal.handover)
+
+
 def _next(phase: str, observation: Observation, time: float, grip: float) -> str:
     touching = [touch.touching for touch in observation.touch]
     gripper = observation.gripper
@@ -246,13 +251,14 @@ def _next(phase: str, observation: Observation, time: float, grip: float) -> str
         if all(touching):
             return "regulate"
         return "close" if any(touching) else "approach"
+    if _may_release(phase, observation) and observation.command.opening > grip + NEAR:
+        return "release"
     if phase == "hold" and observation.goal.handover:
-        opens = observation.command.opening > grip + NEAR
-        return "release" if opens or not any(touching) else phase
+        return phase if any(touching) else "release"
     ends = {
         "lift": height > observation.goal.lift_height - NEAR,
         "hold": time >= observation.goal.hold_time,
-        "lower": height < observation.goal.place_height + DOWN,
+        "lower": height < DOWN,
         "release": not any(touching) and gripper.opening > grip + CLEAR,
     }
     after = {"lift": "hold", "hold": "lower", "lower": "release", "release": "done"}

@@ -1,8 +1,9 @@
 """Memory of a learned policy: a gated recurrent unit (GRU) ahead of the layers of its file.
 
 Its state is part of `Command.memory`, so that the controller remains a pure function. The vector
-contains in addition the slip and the announced loads, which the required grip depends on. Unit and
-layers receive the vector and its change since the previous cycle.
+contains in addition the slip and the announced loads, which the required grip depends on, and how
+the object will be released. Unit and layers receive the vector and its change since the previous
+cycle.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ STATE = "policy_state"
 SLIP_MAX = 0.02
 """Maximum slip distance in the observation, m. Larger distances are clipped."""
 _FINGER = ("incipient", "slipping", "slip_distance_m")
-_GOAL = ("push_N", "acceleration_m_s2")
+_GOAL = ("push_N", "acceleration_m_s2", "place_height_m", "handover")
 _GATES = 3  # reset, update, candidate
 
 
@@ -36,7 +37,7 @@ def recurrent_observation_names(fingers: int = 2) -> list[str]:
         fingers: Number of fingers of the rig.
 
     Returns:
-        (11 fingers + 16) names with their units, in the order of `recurrent_observation`.
+        (11 fingers + 18) names with their units, in the order of `recurrent_observation`.
     """
     slip = [f"finger{k}.{name}" for k in range(1, fingers + 1) for name in _FINGER]
     return [*policy_observation_names(fingers), *slip, *_GOAL]
@@ -51,11 +52,12 @@ def recurrent_observation(observation: Observation) -> Array:
 
     Returns:
         Vector (11 fingers + 16,) float32: that of `policy_observation`, then each finger's slip,
-        then the push, N, and acceleration, m/s^2, of the goal.
+        then push, N, acceleration, m/s^2, place height, m, and handover (0 or 1) of the goal.
     """
     slip = [value for touch in observation.touch for value in _slip_values(touch)]
-    goal = [observation.goal.push, observation.goal.acceleration]
-    return np.concatenate([policy_observation(observation), np.array([*slip, *goal], np.float32)])
+    goal = observation.goal
+    known = [goal.push, goal.acceleration, goal.place_height, float(goal.handover)]
+    return np.concatenate([policy_observation(observation), np.array([*slip, *known], np.float32)])
 
 
 def _slip_values(touch: Touch) -> tuple[float, float, float]:

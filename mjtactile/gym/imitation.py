@@ -10,17 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from mjtactile.core.policy import LIFT_SPEED, action_from_commands, command_from_action
+from mjtactile.core.policy import action_from_commands, command_from_action
 from mjtactile.core.recurrent_policy import recurrent_observation as recurrent_observation
 from mjtactile.core.recurrent_policy import recurrent_observation_names
 from mjtactile.core.types import Array, Command, Observation
 from mjtactile.gym.wrappers import SCALE
 
-LOWERING_SPEED = 0.010  # m/s, where the teacher has detected the table already
 _INTEGRAL = "goal"  # of the jaws, in the memory of `adaptive`
 # These differ on a real servo: its current includes friction in its gears
 _OMITTED = ("speed_m_s", "effort_N")
-_SCALE = {"slip_distance_m": 2e-3, "push_N": 0.3, "acceleration_m_s2": 5.0}
+_SCALE = {"slip_distance_m": 2e-3, "push_N": 0.3, "acceleration_m_s2": 5.0, "place_height_m": 0.02}
 _CHANGE = {  # of one image; other entries without their change
     "force_normal_N": 0.03,
     "fx_N": 0.02,
@@ -43,8 +42,8 @@ INPUT_SCALE = np.concatenate([_VALUE_SCALE, [_CHANGE.get(name, np.inf) for name 
 def teacher_action(observation: Observation, teacher: Command) -> Array:
     """Compute the action that imitates a teacher.
 
-    The policy's own phase decides on set-down and release: it lowers an object that the teacher
-    would release, and opens the jaws where the teacher still lowers.
+    Where the policy's phase does not permit a release, it holds an object that the teacher would
+    release; in its phase "release", it opens the jaws, even if the teacher still lowers.
 
     Args:
         observation: Observation of the policy, with its last command.
@@ -57,8 +56,11 @@ def teacher_action(observation: Observation, teacher: Command) -> Array:
     phase = command_from_action(observation, action).phase
     if phase == "release":
         return np.array([1.0, action[1], 0.0])
-    if phase in ("lift", "hold", "lower") and teacher.phase in ("release", "done"):
-        return np.array([0.0, action[1], -LOWERING_SPEED / LIFT_SPEED * (phase == "lower")])
+    if teacher.phase in ("release", "done"):
+        if phase == "lower" or (phase == "hold" and observation.goal.handover):
+            return np.array([1.0, action[1], 0.0])
+        if phase in ("lift", "hold"):
+            return np.array([0.0, action[1], 0.0])
     return action
 
 

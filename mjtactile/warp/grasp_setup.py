@@ -84,7 +84,7 @@ def limits_of(rig: Rig, goal: TaskGoal) -> Any:
     limits = TaskLimits()
     of_rig = rig.limits
     limits.lift_height, limits.hold_time = float(goal.lift_height), float(goal.hold_time)
-    limits.place_height, limits.handover = float(goal.place_height), int(goal.handover)
+    limits.handover = int(goal.handover)
     limits.opening_min, limits.opening_max = (float(opening) for opening in of_rig.opening)
     limits.speed, limits.force = float(of_rig.speed), float(of_rig.force)
     limits.lift_max, limits.lift_speed = float(of_rig.lift[1]), float(of_rig.lift_speed)

@@ -47,6 +47,7 @@ force_N = [0.8, 1.5]
 release_within_s = 1.0
 """
 OPEN = (1.0, -0.75, 0.0)
+AT_PLACE = 0.009  # height at which the jaws open, m: that of the goal, and 1 mm
 
 
 def actions_of(observation, opens_after):
@@ -58,7 +59,8 @@ def actions_of(observation, opens_after):
     rises = ((phase == 2) & (force > 0.6)) | (phase == 3)
     actions[:, 2] = np.where(rises, 1, np.where(phase == 5, -1, 0))
     hands_over = (phase == 4) & (observation[:, 22] > opens_after)
-    actions[(phase == 6) | hands_over] = OPEN
+    is_down = (phase == 5) & (observation[:, 19] < AT_PLACE)
+    actions[(phase == 6) | hands_over | is_down] = OPEN
     return actions
 
 

@@ -51,7 +51,6 @@ class TaskLimits:
     """
 
     lift_height: float
-    place_height: float
     hold_time: float
     handover: int
     opening_min: float
@@ -128,7 +127,7 @@ def _next_phase(
         elif time >= limits.hold_time:
             found = LOWER
     elif phase == LOWER:
-        if height < limits.place_height + _DOWN:
+        if height < _DOWN or commanded > grip + _NEAR:
             found = RELEASE
     elif phase == RELEASE:
         if touches == 0 and opening > grip + _CLEAR:
@@ -183,7 +182,7 @@ def command_all(
     if phase != before:
         in_phase = 0.0
     if phase < RELEASE:
-        if limits.handover != 0 and phase == HOLD and before == HOLD:
+        if phase == before and (phase == LOWER or (phase == HOLD and limits.handover != 0)):
             opening = wp.min(grip, opening)
         commands.grip_opening[world] = opening
     if phase == LOWER and lost > _LOST_TIME:

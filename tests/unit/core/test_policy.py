@@ -122,6 +122,25 @@ def test_a_lost_object_is_not_held():
     assert command.phase == "abort"  # not "done": nothing was set down
 
 
+@pytest.mark.parametrize(("rate", "phase"), [(1.0, "release"), (0.0, "lower")])
+def test_an_opening_grip_is_a_release_where_the_table_comes_early(rate, phase):
+    """The place is 20 mm above the table of the start, 5 mm higher than specified."""
+    goal = TaskGoal(place_height=0.015)
+    last = Command(0.05, 4.0, 0.02, "lower", {"grip_opening": 0.05})
+    for _ in range(3):
+        last = command_from_action(
+            replace(seen((0.4, 0.4), 0.05, 0.02, last), goal=goal), (rate, 0.0, 0.0)
+        )
+    assert last.phase == phase
+
+
+def test_lowering_continues_below_a_place_that_is_lower_than_specified():
+    last = Command(0.05, 4.0, 0.01, "lower", {"grip_opening": 0.05})
+    observation = replace(seen((0.4, 0.4), 0.05, 0.01, last), goal=TaskGoal(place_height=0.02))
+    last = command_from_action(observation, (0.0, 0.0, -1.0))
+    assert last.phase == "lower" and last.lift_height < 0.01
+
+
 @pytest.mark.parametrize("handover", [False, True])
 def test_an_opening_grip_hands_over(handover):
     """With `handover` the hold ends when the goal of the jaws is 1 mm beyond the grip."""

@@ -21,7 +21,7 @@ from mjtactile.core.recurrent_policy import (
 from mjtactile.core.types import Slip, SlipState, TaskGoal
 from tests.unit.core.test_policy import seen
 
-N = 38  # entries of two fingers
+N = 40  # entries of two fingers
 UNITS = 3
 RNG = np.random.default_rng(0)
 UNIT = RecurrentUnit(
@@ -123,6 +123,7 @@ def test_slip_and_announced_loads_are_named_and_bounded():
     assert (named["finger2.slipping"], named["finger2.incipient"]) == (1, 0)
     assert named["finger2.slip_distance_m"] == np.float32(SLIP_MAX)
     assert (named["push_N"], named["acceleration_m_s2"]) == (np.float32(0.3), 4)
+    assert (named["place_height_m"], named["handover"]) == (0, 0)
     plain_vector = policy_observation(sliding(1.0))
     np.testing.assert_array_equal(vector[: len(plain_vector)], plain_vector)
     unknown = recurrent_observation(sliding(math.nan, "incipient"))
@@ -135,12 +136,12 @@ def test_slip_and_announced_loads_are_named_and_bounded():
     [
         ({"gru_state_biases": None}, "gru_state_biases: is missing"),
         ({"gru_state_weights": np.ones((9, 4))}, r"shape \(9, 4\) does not.*valid: \(9, 3\)"),
-        ({"gru_input_weights": np.ones((8, 76))}, r"gru_input_weights: the shape \(8, 76\)"),
-        ({"gru_input_weights": np.ones((9, 30))}, "gru_input_weights: has 30 columns .valid: 54, "),
+        ({"gru_input_weights": np.ones((8, 80))}, r"gru_input_weights: the shape \(8, 80\)"),
+        ({"gru_input_weights": np.ones((9, 30))}, "gru_input_weights: has 30 columns .valid: 58, "),
         ({"gru_input_biases": np.ones(8)}, r"gru_input_biases: the shape \(8,\).*valid: \(9,\)"),
         ({"gru_input_biases": np.full(9, np.nan)}, "gru_input_biases: has values that are not fin"),
         ({"gru_input_biases": np.array(["a"] * 9)}, "has arrays that are not numeric"),
-        ({"w0": np.ones((5, 30))}, r"layers\[0\]: weights \(5, 30\).*valid: 79 for 2 fingers"),
+        ({"w0": np.ones((5, 30))}, r"layers\[0\]: weights \(5, 30\).*valid: 83 for 2 fingers"),
     ],
 )
 def test_a_wrong_unit_is_reported_in_one_line(tmp_path, changed, text):
@@ -158,6 +159,6 @@ def test_another_rig_is_named_at_the_step(tmp_path):
     save_policy(path, LAYERS, activation="tanh", unit=UNIT)
     observation = sliding(0.0)
     three = replace(observation, touch=(*observation.touch, observation.touch[0]))
-    text = r"has 49 values \(of 3 fingers\), but the policy was trained with 38 values \(of 2 fing"
+    text = r"has 51 values \(of 3 fingers\), but the policy was trained with 40 values \(of 2 fing"
     with pytest.raises(InputError, match=text):
         load_policy(path).command(three)

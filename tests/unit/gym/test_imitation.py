@@ -9,7 +9,7 @@ import mjtactile
 from mjtactile.core.policy import command_from_action
 from mjtactile.core.policy_file import load_policy
 from mjtactile.core.recurrent_policy import recurrent_observation_names
-from mjtactile.core.types import Command
+from mjtactile.core.types import Command, TaskGoal
 from mjtactile.gym.imitation import (
     INPUT_SCALE,
     ask_teacher,
@@ -39,12 +39,24 @@ def test_the_action_repeats_the_teachers_command():
 
 @pytest.mark.parametrize("phase", ["release", "done"])
 def test_a_teacher_that_releases_early_does_not_open_the_policys_jaws(phase):
-    """The policy's phases lower down to the table: jaws that open before count as a loss."""
-    observation = at("lower", 0.01)
+    """The policy is in its hold, which ends by time: jaws that open count as a loss."""
+    observation = at("hold", 0.04)
     teacher = replace(observation.command, opening=0.06, phase=phase)
     command = command_from_action(observation, teacher_action(observation, teacher))
-    assert command.opening == 0.05
-    assert command.lift_height == pytest.approx(0.01 - 0.010 * observation.period)
+    assert (command.opening, command.lift_height) == (0.05, 0.04)
+
+
+@pytest.mark.parametrize(
+    ("phase", "goal"), [("lower", TaskGoal()), ("hold", TaskGoal(handover=True))]
+)
+def test_the_policy_releases_with_its_teacher(phase, goal):
+    """The table is higher than specified, or the object is pulled: opening starts the release."""
+    observation = replace(at(phase, 0.03), goal=goal)
+    teacher = replace(observation.command, opening=0.051, phase="release")
+    command = command_from_action(observation, teacher_action(observation, teacher))
+    assert command.phase == phase and command.opening > 0.0501
+    opened = replace(observation, command=replace(command, opening=0.0511))
+    assert command_from_action(opened, teacher_action(opened, teacher)).phase == "release"
 
 
 def test_a_lowered_policy_opens_before_its_teacher():
