@@ -23,8 +23,8 @@ from mjtactile.gym.imitation import (
 )
 from mjtactile.gym.recurrent_actor import RecurrentActor, fit
 
-TASKS = ("bump", "shake", "pour", "lift", "bump", "shake", "pour")
-EPISODES = (100, 24)  # of the first round, and of each further one
+TASKS = ("bump", "shake", "pour", "wet", "place", "hand-over", "lift", "bump", "shake", "wet")
+EPISODES = (150, 36)  # of the first round, and of each further one
 EPOCHS = 12
 TIME_LIMIT = 40.0  # of an episode, s
 FIRST_SEED = 2_100_000  # other seeds than `evaluate`

@@ -136,8 +136,7 @@ class Scenario:
         seed: Seed of camera noise, of the object's position, and of `randomization`.
         time_limit: Time on the rig's clock after which the run is ended, s; inf: never.
         contact_shapes: True if force and slip come from the contact shape, regardless of the
-            controller.
-            Area and force are then those of the shape.
+            controller. Area and kind always do.
 
     Raises:
         InputError: For a seed or time limit out of range, or wrong effects or accuracy.
