@@ -32,7 +32,7 @@ LIMITS = {
     "words to avoid per 10 000 words of tests": 1.2,
     "words to avoid per 10 000 words of documentation": 5.7,
     "words to avoid per 10 000 words of decision records": 0.5,
-    "documentation, words (code and equations left out)": 41980.0,
+    "documentation, words (code and equations left out)": 42100.0,
 }
 WORD = re.compile(r"[A-Za-z][A-Za-z'-]*")
 CLAUSE = re.compile(r"[`\"'(*]*(What|Whether|Of|How|Where|By|Who|Which|When|As|m|N|s|Pa)\b")
