@@ -45,14 +45,14 @@ docs: $(VENV)/.docs-ready  ## the documentation as a site, build/site/index.html
 # take more than about 3 s of a processor or of waiting, and a quicker test detects a complete failure. Tests marked `clock`
 # use emulated devices and mostly wait: more of them run at a time than there are processors. No other computation may run at
 # the same time, not even at the lowest priority, since valves would answer late. Few tests of the first tier compute, so that
-# eight run at a time; six whole rigs use most of both processors. A browser without a graphics card needs two processors.
+# eight run at a time; seven whole rigs use most of both processors. A browser without a graphics card needs two processors.
 # Each worker reads all given files. Only those that contain the mark are given, and the first tier omits files that are slow
 # or clock as a whole (`pytestmark`), since the import of MuJoCo Warp takes 3 s. There one worker runs all tests of a file, so
 # that the fixtures of a file are made once.
 FIRST = -n 2 --dist loadfile -m 'not slow and not clock and not browser' $(wholly)
 FIRST_CLOCK = -n 8 --dist loadgroup -m 'clock and not slow and not browser' $(call marked,clock)
 SECOND = -n 2 --dist loadgroup -m 'slow and not clock and not browser' $(call marked,slow)
-SECOND_CLOCK = -n 6 --dist loadgroup -m 'slow and clock and not browser' $(filter $(call marked,slow),$(call marked,clock))
+SECOND_CLOCK = -n 7 --dist loadgroup -m 'slow and clock and not browser' $(filter $(call marked,slow),$(call marked,clock))
 wholly = $(addprefix --ignore=,$(shell grep -rlE '^pytestmark = \[?pytest\.mark\.(slow|clock)' --include='test_*.py' tests | sort))
 marked = $(shell grep -rl --include='test_*.py' 'pytest\.mark\.$(1)' tests | sort)
 

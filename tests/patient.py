@@ -6,7 +6,7 @@ from mjtactile.core.design import load_sensor
 from mjtactile.rig.file import load_rig_file
 
 DESIGN = load_sensor("paper16")
-# Half of the usual images: two processors render and evaluate those of six emulated rigs.
+# Half of the usual images: two processors render and evaluate those of seven emulated rigs.
 RATE = 15.0  # image rate of emulated cameras, Hz
 SLOW_CAMERA_DESIGN = replace(DESIGN, camera=replace(DESIGN.camera, rate=RATE))
 SIMULATED = ("sim", "sim_arm", "sim_three_finger")
