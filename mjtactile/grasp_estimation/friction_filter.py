@@ -33,9 +33,6 @@ _PRIOR = (0.7, 0.25)  # mean and standard deviation of mu before the first image
 _REPORTED = 0.6
 _SLIP_SD = (0.15, 0.10, 0.10)
 _FALSE = (0.1, 0.1, 0.001)
-# noise of a growth of the slip distance under 1 N, m, and exponent of the normal force in it, as
-# those of the center of pressure: the odds of a false report fall exponentially with the growth
-_GROWTH_NOISE = (12e-6, -0.6)
 # a slip at less than this fraction of the utilization held before: odds that friction has not
 # changed
 _SAME, _UNCHANGED = 1.1, 0.01
@@ -81,8 +78,7 @@ class FrictionFilter(SlipSigns):
             touch: Current touches.
             period: Time since the previous image, s.
             is_test: True while the grip is loosened on purpose, so that no slip is evidence.
-            is_hanging: True if the fingers alone carry the object, so that a loss of shear is slip,
-                and a small growth of the slip distance weak evidence.
+            is_hanging: True if the fingers alone carry the object, so that a loss of shear is slip.
 
         Returns:
             The updated filter; without a usable image only the prediction.
@@ -193,9 +189,7 @@ def _likelihood(
     else:  # it slides: the utilization is mu
         state_index = signs.slip - 1
         deviation = (signs.slid / GRID - 1) / _SLIP_SD[state_index]
-        noise = _GROWTH_NOISE[0] * signs.press ** _GROWTH_NOISE[1]
-        false = max(_FALSE[state_index], math.exp(-signs.growth / noise))
-        sign = false + possible_slip * np.exp(-0.5 * deviation**2)
+        sign = _FALSE[state_index] + possible_slip * np.exp(-0.5 * deviation**2)
     is_further = before >= signs.slip
     weight = _WEIGHTS[signs.slip][is_further]
     if signs.slip and is_further and signs.harder > ANSWER_MIN:

@@ -51,8 +51,7 @@ class Signs(NamedTuple):
     slip distances, m, sign of slip, ages of the reports, s, and relative changes of grip and shear
     (NaN: unknown). `slid`: utilization of the fingers that slide; `speed`: of the slip, m/s;
     `forces`: (n, 3) shear and normal force of each finger, N; `transfer`: shear that moved from
-    finger to finger, N; `growth`: of the slip distance of moving fingers, beyond that by closing
-    jaws, m (inf: a loss of shear, or a table carries a part)."""
+    finger to finger, N."""
 
     press: float
     drag: float
@@ -66,7 +65,6 @@ class Signs(NamedTuple):
     speed: float = 0.0
     forces: Sequence[Sequence[float]] = ()
     transfer: float = 0.0
-    growth: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -129,12 +127,12 @@ class SlipSigns:
             changes = press / self.press - 1, drag / self.drag - 1
         else:
             changes = math.nan, math.nan
-        by_jaws = _GROWTH[1] * np.fmax(changes[0], 0.0)
-        growth = np.subtract(distances, self.distances or distances) - by_jaws
-        grows = growth > _GROWTH[0]
+        min_growth = _GROWTH[0] + _GROWTH[1] * np.fmax(changes[0], 0.0)
+        pairs = zip(distances, self.distances or distances, strict=True)
+        grows = np.array([new - old > min_growth for new, old in pairs])
         slides = np.array([state == "slipping" for state in states])
         utilization = shears / np.maximum(normals, _FORCE_MIN)
-        slid, speed, excess = max(recent), 0.0, math.inf
+        slid, speed = max(recent), 0.0
         if slip == SOME:
             slid = float(utilization[slides].mean())
         moved, loses = self._transfer(forces)
@@ -143,9 +141,7 @@ class SlipSigns:
         if moves.any() and self._may_slide(moves, utilization):
             slip, slid = MOVES, float(utilization[moves].mean())
             speed = max(float(np.subtract(distances, self.distances)[moves].max()) / period, 0.0)
-            if is_hanging and not (moves & loses).any():
-                excess = float(growth[moves].max())
-        evidence = (slip, ages, *changes, slid, speed, forces.tolist(), moved, excess)
+        evidence = (slip, ages, *changes, slid, speed, forces.tolist(), moved)
         return Signs(press, drag, recent, distances, *evidence)
 
     def _may_slide(self, moves: NDArray[np.bool_], utilization: Array) -> bool:
