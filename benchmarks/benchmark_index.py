@@ -54,7 +54,7 @@ ENTRIES = (
         "benchmarks/shape",
         "area error, median / 90 % within (count): {}",
         "area from 0.2 N, smooth",
-        "load, tracked",
+        "every touch",
     ),
     Entry("benchmarks/slip", "detected in time: {}", "slips detected before", "measured"),
     Entry("benchmarks/material", "correct class: {}", "correct material class", "measured"),

@@ -6,7 +6,8 @@ and two balls together. They are pressed into the simulated membrane of `dense` 
 off the center, on a mesh finer than the default. They are held for some images at the end, then
 dragged aside by up to a millimetre.
 
-Each image of a load is evaluated twice: alone, and in a sequence that is tracked as in a session.
+Each image of a load is evaluated three times: alone, in a sequence with `contact_shapes`, and in
+one without it, as in each touch by default: its area is that of the contact, its force is nodal.
 Images of drags count for the wrench alone. Ground truth is the indenter's shape, and the
 simulator's forces and contact area. The area of lines and points is left out.
 """
@@ -16,6 +17,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,8 @@ from mjtactile.core.design import load_sensor
 from mjtactile.core.types import Array, ContactShape, Touch, Traction
 from mjtactile.experiments.test_bench import View, take_references
 from mjtactile.sensing.contact_shape.estimator import ContactShapeEstimator
+from mjtactile.sensing.contact_shape.hypotheses import PressHistory
+from mjtactile.sensing.pipeline_state import PipelineState
 from mjtactile.sim import ground_truth
 from mjtactile.sim.scenes.indentation import Indenter, PressWorld
 
@@ -81,18 +85,50 @@ def _press(seed: int) -> list[dict[str, Any]]:
     finder = view.perception.pipeline.make_shape_estimator(view.perception.state)  # made once
     drag = float(np.random.default_rng([seed, 78]).uniform(-_DRAG, _DRAG))
     rows: list[dict[str, Any]] = []
+    plain = _EveryTouch(finder)
     for stage in _stages(world, drag):
         true = ground_truth.contact_wrench(world, 0)
+        before = view.perception.state
         row = _followed(case, view, finder, true)
-        if row is None or -true[2] < _FORCE_MIN:
+        if row is None:
             continue
         touch = row.pop("touch")
+        default = plain.estimate(case, view, before, touch)
+        if -true[2] < _FORCE_MIN:
+            continue
         row |= {"seed": seed, "stage": stage, "first": not rows}
         row |= {"area_true_mm2": 1e6 * ground_truth.contact_area(world, 0)}
         rows.append(row)
+        rows.append(row | {"stage": "default", "within": stage} | default)
         if stage == "press":
             rows.append(row | _alone(case, view, touch))
     return rows
+
+
+class _EveryTouch:
+    """The estimate that each touch has by default: area and kind, without force and motion."""
+
+    def __init__(self, finder: ContactShapeEstimator):
+        self._finder = finder
+        self._press: PressHistory | None = None
+
+    def estimate(
+        self, case: Case, view: View, before: PipelineState, touch: Touch
+    ) -> dict[str, Any]:
+        """Evaluate the next image of a sequence, whose previous state was `before`."""
+        now = view.perception.state
+        start = time.thread_time()
+        found, after = view.perception.pipeline.track_contact_shape(
+            replace(before, press=self._press), now, touch, self._finder, with_load=False
+        )
+        seconds = time.thread_time() - start
+        self._press = after.press
+        assert found.shape is not None and found.contact is not None
+        return _reported(case, found.shape) | {
+            "milliseconds": 1e3 * seconds,
+            "area_mm2": 1e6 * found.contact.area,
+            "area_interval_mm2": [1e6 * end for end in found.contact.area_interval],
+        }
 
 
 def _stages(world: PressWorld, drag: float) -> Iterator[str]:

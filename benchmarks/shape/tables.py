@@ -13,6 +13,12 @@ _LIGHT, _FIRM, _END = 0.06, 0.2, 0.3  # force limits of the groups, N
 _SHARP = {"edge": "edges", "point": "corners", "multiple": "two balls"}
 _SMALL, _LARGE = 4.2, 30.0  # radii of the evaluated balls, mm
 
+_TIMES = {
+    "first": "processor time, ms: first image of a load",
+    "update": "… force increased by half: all possible kinds fitted",
+    "hold": "… images of a hold",
+}
+
 Row = dict[str, Any]
 
 
@@ -23,10 +29,13 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
         rows: Rows of the benchmark.
 
     Returns:
-        Medians, fractions and counts by name, for tracked sequences and for single images.
+        Medians, fractions and counts by name, for tracked sequences, for every touch by default and
+        for single images.
     """
     listed = list(rows)
-    followed = [row for row in listed if row["stage"] != "image"]
+    followed = [row for row in listed if row["stage"] not in ("image", "default")]
+    plain = [row for row in listed if row["stage"] == "default"]
+    loads = [row for row in plain if row["within"] == "press"]
     presses = [row for row in listed if row["stage"] == "press"]
     sharp = [row for row in presses if row["family"] in _SHARP]
     smooth = [row for row in presses if row["family"] == "smooth"]
@@ -40,6 +49,12 @@ def summary(rows: Iterable[Row]) -> dict[str, Any]:
             len(firm),
         ],
         "press": _summary(presses),
+        "default": _summary(loads),
+        "default_ms": {
+            "first": _median(row["milliseconds"] for row in loads if row["first"]),
+            "update": _median(row["milliseconds"] for row in loads if not row["first"]),
+            "hold": _median(row["milliseconds"] for row in plain if row["within"] == "hold"),
+        },
         "image": _summary([row for row in listed if row["stage"] == "image"]),
         "nodal": {key: _errors(some, "area_nodal") for key, some in _broad(presses).items()},
         "kind_end": [_fraction(row["kind"] == row["family"] for row in ends), len(ends)],
@@ -151,42 +166,49 @@ def table(result: dict[str, Any]) -> str:
         Markdown.
     """
     s = result["summary"]
-    press, image, nodal = s["press"], s["image"], s["nodal"]
+    press, default, image, nodal = s["press"], s["default"], s["image"], s["nodal"]
+    estimates = (press, default, image)
 
-    def areas(key: str) -> tuple[str, str, str]:
-        return _both(press["area"][key]), _both(image["area"][key]), _both(nodal[key])
+    def areas(key: str) -> tuple[str, ...]:
+        return *(_both(each["area"][key]) for each in estimates), _both(nodal[key])
 
-    def shares(key: str) -> tuple[str, str, str]:
-        return _part(press[key]), _part(image[key]), "none"
+    def shares(key: str) -> tuple[str, ...]:
+        return *(_part(each[key]) for each in estimates), "none"
 
     rows = [
-        ("quantity", "load, tracked", "single image", "nodal estimate"),
-        ("---", "---", "---", "---"),
+        ("quantity", "`contact_shapes`", "every touch", "single image", "nodal estimate"),
+        ("---", "---", "---", "---", "---"),
         ("area from 0.2 N, smooth objects and faces, error: median / 90 % within", *areas("firm")),
         ("… smooth objects", *areas("smooth")),
         ("… faces", *areas("flat")),
         ("area, 0.06 to 0.2 N, error", *areas("light")),
         (
             "68 % interval of the area contains the true one, from 0.2 N",
-            *shares("coverage")[:2],
+            *shares("coverage")[:3],
             _part(s["coverage_nodal"]),
         ),
         ("the same for curvatures", *shares("coverage_curvature")),
         (
             "radius of balls of 4.2 to 30 mm, from 0.2 N, error",
-            _both(press["radius"]),
-            _both(image["radius"]),
+            *(_both(each["radius"]) for each in estimates),
             "none",
         ),
-        ("correct kind at the end of a load to 0.3 N", _part(s["kind_end"]), "", "none"),
+        ("correct kind at the end of a load to 0.3 N", _part(s["kind_end"]), "", "", "none"),
         ("correct kind, images of 0.3 N or more", *shares("kind")),
         ("… reported as unknown", *shares("unknown")),
-        ("two balls at once, reported as `multiple`", _part(s["multiple"]), "", "none"),
-        ("edge of a wedge: lateral error, mm, median", _number(s["edge_off_mm"]), "", "none"),
-        ("edge of a wedge: rotation error, deg, median", _number(s["edge_turn_deg"]), "", "none"),
+        ("two balls at once, reported as `multiple`", _part(s["multiple"]), "", "", "none"),
+        ("edge of a wedge: lateral error, mm, median", _number(s["edge_off_mm"]), "", "", "none"),
+        (
+            "edge of a wedge: rotation error, deg, median",
+            _number(s["edge_turn_deg"]),
+            "",
+            "",
+            "none",
+        ),
         (
             "normal force of smooth objects, error, N: mean / worst",
             _newtons(s["force_smooth"]),
+            "",
             "",
             _newtons(s["force_smooth_nodal"]),
         ),
@@ -194,16 +216,18 @@ def table(result: dict[str, Any]) -> str:
             "normal force of edges, corners, two balls, error",
             _newtons(s["force_sharp"]),
             "",
+            "",
             _newtons(s["force_sharp_nodal"]),
         ),
         *(
-            (f"chi-square of the wrench, {name}", f"{now:.2f}", "", f"{before:.2f}")
+            (f"chi-square of the wrench, {name}", f"{now:.2f}", "", "", f"{before:.2f}")
             for name, (now, before) in s["chi2"].items()
             if not name.endswith(("pressed", "dragged"))
         ),
-        ("processor time, ms: first image of a load", _number(s["first_ms"]), "", ""),
-        ("… force increased by half: all possible kinds fitted", _number(s["update_ms"]), "", ""),
-        ("… images of a hold", _number(s["hold_ms"]), "", ""),
+        *(
+            (name, _number(s[f"{key}_ms"]), _number(s["default_ms"][key]), "", "")
+            for key, name in _TIMES.items()
+        ),
     ]
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     lines += ["", *_independent(result["independent"])]

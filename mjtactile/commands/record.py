@@ -45,7 +45,7 @@ examples:
       11 --out runs/press
   mjtactile record --rig replay:runs/idle --out runs/again           the same numbers again
   mjtactile record --rig replay:runs/idle --contact-shapes --out runs/shapes
-      the same images, with the contact shape of each touch
+      the same images, with force and slip from contact shapes
   mjtactile grasp --rig replay:runs/idle --controller my_controller.py    its commands
 
 A protocol is a CSV file with the columns time_s,depth_mm,shear_mm,speed_mm_s,force_N

@@ -51,7 +51,7 @@ def recurrent_observation(observation: Observation) -> Array:
         observation: Observation of a controller.
 
     Returns:
-        Vector (11 fingers + 16,) float32: that of `policy_observation`, then each finger's slip,
+        Vector (11 fingers + 18,) float32: that of `policy_observation`, then each finger's slip,
         then push, N, acceleration, m/s^2, place height, m, and handover (0 or 1) of the goal.
     """
     slip = [value for touch in observation.touch for value in _slip_values(touch)]
